@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from league.deepracer.params import KEYS, Params, ParamsBuilder
 from league.deepracer.reward_file import Function, RewardFile
@@ -18,6 +19,7 @@ from league.deepracer.watchdog import NOT_ITS_OWN, Stopped, stuck, throw
 from league.envs.actions import encode
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
+from league.envs.rewards import Paid
 from league.envs.state import INDEX
 from league.errors import RewardError
 from league.sim.config import RULES, ObstacleConfig, RaceKind, SimConfig
@@ -238,17 +240,12 @@ class _ParamsRecorder:
         self.params: list[Params] = []
         self._builder = ParamsBuilder(sim, (car,))
 
-    def restart(self, world: World, begun: np.ndarray) -> None:
+    def restart(self, world: World, begun: ndarray) -> None:
         self._builder.restart(begun)
 
     def __call__(
-        self,
-        tracks: TrackSet,
-        before: World,
-        world: World,
-        actions: np.ndarray,
-        verdicts: np.ndarray,
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray
+    ) -> Paid:
         self.params.extend(self._builder.rows(tracks, before, world, verdicts).params)
         return np.zeros(verdicts.shape, np.float32), {}
 
@@ -309,7 +306,7 @@ def _drive(
     return Drive(title=title, kind=sim.kind, params=recorder.params)
 
 
-def _follow(state: np.ndarray, speed: float, lane: float, sim: SimConfig) -> np.ndarray:
+def _follow(state: ndarray, speed: float, lane: float, sim: SimConfig) -> ndarray:
     """Return actions that follow a line parallel to the centreline, by two gains."""
     lateral, heading = state[:, INDEX["lateral"]] - lane, state[:, INDEX["heading_error"]]
     bend = state[:, INDEX["curvature_0.25m"]] - 1.5 * lateral - 2.5 * heading

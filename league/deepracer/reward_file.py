@@ -27,9 +27,11 @@ from types import CodeType, ModuleType
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from league.deepracer.params import KEYS, Params, ParamsBuilder
 from league.deepracer.watchdog import NOT_ITS_OWN, TIME_LIMIT_S, Watchdog
+from league.envs.rewards import Paid
 from league.errors import RewardError, brief, nearest_names
 from league.sim.config import SimConfig
 from league.sim.records import World
@@ -315,18 +317,13 @@ class UserReward:
         """The last lines that the file has printed."""
         return self.source.prints.lines
 
-    def restart(self, world: World, begun: np.ndarray) -> None:
+    def restart(self, world: World, begun: ndarray) -> None:
         """Begin an episode for these cars; their modules keep their state."""
         self._builder.restart(begun)
 
     def __call__(
-        self,
-        tracks: TrackSet,
-        before: World,
-        world: World,
-        actions: np.ndarray,
-        verdicts: np.ndarray,
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray
+    ) -> Paid:
         """Return each car's reward, (num_worlds, num_cars), and its only term; see Reward.
 
         Raises:

@@ -40,6 +40,9 @@ ROWS = 1024  # rows of a line's table
 _ZERO, _ONE, _HALF, _QUARTER, _TENTH = f32(0.0), f32(1.0), f32(0.5), f32(0.25), f32(0.1)
 _LEAST_BAND = f32(0.001)
 
+Paid = tuple[ndarray, dict[str, ndarray]]
+"""What a Reward returns for a step."""
+
 
 class Reward(Protocol):
     """Rewards each car for each step, in Python; it may keep state between `restart`s."""
@@ -51,7 +54,7 @@ class Reward(Protocol):
 
     def __call__(
         self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray
-    ) -> tuple[ndarray, dict[str, ndarray]]:
+    ) -> Paid:
         """Return each car's reward and each term of it by name, all (num_worlds, num_cars).
 
         Args:
@@ -63,7 +66,7 @@ class Reward(Protocol):
         """
         ...
 
-    def restart(self, world: World, begun: np.ndarray, /) -> None:
+    def restart(self, world: World, begun: ndarray, /) -> None:
         """Note which cars begin an episode in this world, bool, (num_worlds, num_cars)."""
         ...
 
@@ -96,7 +99,7 @@ def built_in(name: str, tracks: TrackSet, car: CarConfig) -> Reward:
     return RacingLineReward(tracks, car) if name == RACING_LINE else BuiltIn(preset(name))
 
 
-def weights(cfg: RewardConfig) -> np.ndarray:
+def weights(cfg: RewardConfig) -> ndarray:
     """Return the weights in the order of TERMS, float32 (num_terms,)."""
     return np.array([getattr(cfg, name) for name in TERMS], np.float32)
 
@@ -110,7 +113,7 @@ class BuiltIn:
 
     def __call__(
         self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray
-    ) -> tuple[ndarray, dict[str, ndarray]]:
+    ) -> Paid:
         """Return the weighted sum and each weighted term; see Reward."""
         cars, columns = world.cars, np.empty((*world.cars.shape, len(TERMS)), np.float32)
         courses = tracks.points, tracks.courses
@@ -121,7 +124,7 @@ class BuiltIn:
             total += value
         return total, terms
 
-    def restart(self, world: World, begun: np.ndarray) -> None:
+    def restart(self, world: World, begun: ndarray) -> None:
         """Nothing: it keeps no state."""
 
 
@@ -145,7 +148,7 @@ class RacingLineReward(BuiltIn):
 
     def __call__(
         self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray
-    ) -> tuple[ndarray, dict[str, ndarray]]:
+    ) -> Paid:
         """Return each car's reward and each term of it; see Reward."""
         total, terms = super().__call__(tracks, before, world, actions, verdicts)
         cars, index = world.cars, world.track[:, None]
@@ -157,7 +160,7 @@ class RacingLineReward(BuiltIn):
         near = np.where(verdicts["advance"] > 0, near, np.float32(0.0))
         return total + near, terms | {RACING_LINE: near}
 
-    def line_at(self, index: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def line_at(self, index: ndarray, share: ndarray) -> tuple[ndarray, ndarray]:
         """Return lateral place [m] and speed [m/s] of a track's line at a share of the lap."""
         place = (share * np.float32(ROWS)).clip(0.0, ROWS - 1e-3)
         low = place.astype(np.int64)
@@ -167,7 +170,7 @@ class RacingLineReward(BuiltIn):
         return row[..., 0], row[..., 1]
 
 
-def _line_table(track: Track, car: CarConfig) -> np.ndarray:
+def _line_table(track: Track, car: CarConfig) -> ndarray:
     """Return the line's place and speed at ROWS + 1 places from start to end, (ROWS + 1, 2)."""
     from league.racing_line.racing_line import optimal_line  # late: SciPy takes a while
 

@@ -12,12 +12,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from league.agents.driver import Driver
 from league.agents.rollout import DriverPool, Rollout
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv, Step
-from league.envs.rewards import BuiltIn, Reward
+from league.envs.rewards import BuiltIn, Paid, Reward
 from league.errors import ConfigError, brief
 from league.racing.race import dynamics
 from league.racing.table import Evaluation, Mode, Status, Trial
@@ -67,7 +68,7 @@ class EvalStep:
 
     tracks: TrackSet
     sim: SimConfig
-    before: np.ndarray
+    before: ndarray
     """CAR records before the step, (num_worlds, num_cars)."""
     judged: World
     """The worlds as the referee and the reward saw them, before any penalty moved a car."""
@@ -223,17 +224,12 @@ class _WorldRecorder:
         return self._reward.terms
 
     def __call__(
-        self,
-        tracks: TrackSet,
-        before: World,
-        world: World,
-        actions: np.ndarray,
-        verdicts: np.ndarray,
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray
+    ) -> Paid:
         self.judged = world.copy()
         return self._reward(tracks, before, world, actions, verdicts)
 
-    def restart(self, world: World, who: np.ndarray) -> None:
+    def restart(self, world: World, who: ndarray) -> None:
         self._reward.restart(world, who)
 
 
@@ -259,7 +255,7 @@ class StepRecord:
 
 
 def _step_records(
-    tracks: TrackSet, sim: SimConfig, before: np.ndarray, world: World, step: Step
+    tracks: TrackSet, sim: SimConfig, before: ndarray, world: World, step: Step
 ) -> list[StepRecord]:
     cars, verdicts = world.cars[:, 0], step.verdicts[:, 0]
     share = cars["best_distance"] / tracks.lap_length(world.track) - cars["laps"]

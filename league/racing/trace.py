@@ -20,12 +20,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from league.atomic_file import replacing
 from league.deepracer import model_metadata, params_kernels
 from league.deepracer.params import Roads
 from league.envs.actions import ActionSpace, ContinuousActions, DiscreteActions
-from league.envs.rewards import Reward
+from league.envs.rewards import Paid, Reward
 from league.errors import ConfigError, PolicyError
 from league.racing.evaluate import MISTAKES, EvalStep
 from league.sim import referee
@@ -47,7 +48,7 @@ def nearer(points: Sequence[tuple[float, float]], pair: Sequence[int], x: float,
     return pair[1] if ahead < behind else pair[0]
 
 
-def mistakes(verdicts: np.ndarray) -> list[str]:
+def mistakes(verdicts: ndarray) -> list[str]:
     """Return the first mistake of each verdict, VERDICT records (n,); empty where there is none."""
     names = np.full(len(verdicts), "", dtype=object)
     for flag, name in reversed(MISTAKES.items()):
@@ -67,9 +68,9 @@ class StepRows:
         self,
         tracks: TrackSet,
         sim: SimConfig,
-        before: np.ndarray,
+        before: ndarray,
         world: World,
-        rewards: np.ndarray,
+        rewards: ndarray,
     ) -> list[dict[str, Any]]:
         """Return a row for each world.
 
@@ -192,7 +193,7 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> Path:
 
 
 def _columns(
-    tracks: TrackSet, car: CarConfig, before: np.ndarray, world: World, rewards: np.ndarray
+    tracks: TrackSet, car: CarConfig, before: ndarray, world: World, rewards: ndarray
 ) -> dict[str, list[Any]]:
     """Return numbers of car 0 of each world after a step, by name."""
     now, track = world.cars[:, 0], world.track
@@ -221,7 +222,7 @@ def _columns(
     return {name: _plain(values) for name, values in columns.items()}
 
 
-def _plain(values: np.ndarray) -> list[Any]:
+def _plain(values: ndarray) -> list[Any]:
     if values.dtype.kind == "f":
         return [round(value, 6) for value in values.astype(np.float64).tolist()]
     return values.tolist()
@@ -287,13 +288,8 @@ class TrainingTrace:
         return self._episodes, self._steps
 
     def __call__(
-        self,
-        tracks: TrackSet,
-        before: World,
-        world: World,
-        actions: np.ndarray,
-        verdicts: np.ndarray,
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray
+    ) -> Paid:
         """Return what the other reward pays, and note the step; see Reward."""
         paid = self._reward(tracks, before, world, actions, verdicts)
         self._steps += 1
@@ -325,7 +321,7 @@ class TrainingTrace:
                 self._end(number)
         return paid
 
-    def restart(self, world: World, begun: np.ndarray) -> None:
+    def restart(self, world: World, begun: ndarray) -> None:
         """End the episodes of cars that begin another; see Reward."""
         self._reward.restart(world, begun)
         for number, running in enumerate(self._running):
