@@ -23,10 +23,11 @@ from league.replay import Replay, director
 from league.sim.camera import painting
 from league.sim.camera.ground import floor_of
 from league.sim.camera.renderer import Painter
-from league.sim.camera.scene import CAR, FAR_CAR, SUN
-from league.sim.camera.scene_state import Lens, SceneState, Thing
-from league.sim.camera.tables import Floor, Pose
+from league.sim.camera.scene import CAR, FAR_CAR, MODELS, SUN
+from league.sim.camera.scene_state import Lens, SceneState
+from league.sim.camera.tables import SHADE, Floor, Pose
 from league.sim.records import World
+from league.track.markings import placed
 from league.track.track import Rgb
 from league.video.hud import Hud
 from league.video.pixels import draw_shadow
@@ -161,13 +162,13 @@ class Film:
         """Return the pictures of these moments, RGB uint8, (height, width, 3) each."""
         world = self._replay.at(times_s)
         x, y, yaw = self._eye(np.clip(times_s, 0.0, self._replay.duration_s))
-        state, pictures = SceneState(self._replay.sim, world), []
+        things, pictures = SceneState(self._replay.sim, world).things(gray=False), []
         tilt_cos, tilt_sin = direction(TILT)
         for row, time_s in enumerate(times_s):
             east, north = np.array([x[row], y[row]], np.float32).tolist()
             cos, sin = direction(yaw[row])
             pose = Pose(east, north, ABOVE, cos, sin, tilt_cos, tilt_sin)
-            picture = self._painter.picture(pose, state.things(row))
+            picture = self._painter.picture(pose, things[row])
             if time_s > self.ends_s:
                 self._hud.draw_result(picture)
             else:
@@ -215,27 +216,32 @@ class _ShadowPainter(Painter):
         super().__init__(lens, gray=False, sky=sky)
         self._floor = floor
 
-    def picture(self, pose: Pose, things: list[Thing]) -> np.ndarray:
-        """Return what is seen from a place, RGB uint8, (height, width, 3)."""
-        pictures = np.empty((1, self._lens.height, self._lens.width, 3), np.uint8)
-        top = self.paint(pictures, pose, self._floor, [], painting.FLOOR)
+    def picture(self, pose: Pose, things: np.ndarray) -> np.ndarray:
+        """Return what is seen from a place, RGB uint8, (height, width, 3).
+
+        `things` are those of a world, lit; see SceneState.things.
+        """
+        pictures = np.empty((1, 1, self._lens.height, self._lens.width, 3), np.uint8)
+        seen = np.zeros(1, np.int64), pictures, np.array([pose]), things[None], self._floor
+        top = self.paint(*seen, painting.FLOOR)
         flat = pictures.reshape(self._lens.height, -1)
         for thing in things:
             shadow = shadow_of(thing)
             draw_shadow(flat, top, shadow, SHADOW_EDGE, SHADOW_KEPT, self._optics, pose)
-        self.paint(pictures, pose, self._floor, things, painting.ROOM)
-        return pictures[0]
+        self.paint(*seen, painting.ROOM)
+        return pictures[0, 0]
 
 
-def shadow_of(thing: Thing) -> np.ndarray:
+def shadow_of(thing: np.ndarray) -> np.ndarray:
     """Return the outline of what keeps the sun from the floor, as sides for `draw_shadow`.
 
-    It is the hull of all corners, each moved along the light down to the floor: (sides, 3).
+    It is the hull of all corners, each moved along the light down to the floor: (sides, 3). The
+    thing is a row of SceneState.things.
     """
-    model = FAR_CAR if thing.model is CAR else thing.model  # with wheels as one block
-    corners = np.concatenate([solid.vertices for solid in model.solids]) * thing.scale
-    across = [-thing.sin, thing.cos]
-    places = corners[:, :2] @ np.array([[thing.cos, thing.sin], across]) + (thing.x, thing.y)
+    kind, x, y, cos, sin, _, *scale = thing[:SHADE].tolist()
+    model = FAR_CAR if MODELS[int(kind)] is CAR else MODELS[int(kind)]  # with wheels as one block
+    corners = np.concatenate([solid.vertices for solid in model.solids]) * scale
+    places = placed(corners[:, :2], x, y, cos, sin)
     places -= corners[:, 2:] * np.array(SUN[:2]) / SUN[2]
     hull = cv2.convexHull(places.astype(np.float32)).reshape(-1, 2).astype(float)
     along = np.roll(hull, -1, axis=0) - hull

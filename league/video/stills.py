@@ -11,12 +11,12 @@ from league.errors import ConfigError, ReplayError
 from league.replay import Replay
 from league.sim.camera.ground import floor_of
 from league.sim.camera.renderer import Painter, PaintRenderer
-from league.sim.camera.scene import BOX, CAR, GLASS, lit
-from league.sim.camera.scene_state import Lens, SceneState, Thing
+from league.sim.camera.scene import BOX, CAR, GLASS, MODELS, lit
+from league.sim.camera.scene_state import Lens, SceneState
 from league.sim.camera.tables import Pose
 from league.sim.config import CameraConfig, SimConfig
 from league.sim.records import World
-from league.track.markings import SHIFT, Plan, placed
+from league.track.markings import SHIFT, Colour, Plan, placed
 from league.track.track import Track, TrackSet
 
 CHASE_BEHIND = 0.78
@@ -60,9 +60,10 @@ def chase_view(
     x, y, yaw = world.cars[["x", "y", "yaw"]][row, car].tolist()
     pose = _behind(x, y, yaw, track.room)
     floor = floor_of(track, lens, CHASE_UP, CHASE_PITCH, colour=True)
-    picture = np.empty((1, lens.height, lens.width, 3), np.uint8)
-    Painter(lens, gray=False).paint(picture, pose, floor, state.things(0))
-    return cv2.resize(picture[0], (width, height), interpolation=cv2.INTER_AREA)
+    picture = np.empty((1, 1, lens.height, lens.width, 3), np.uint8)
+    only, things = np.zeros(1, np.int64), state.things(gray=False)
+    Painter(lens, gray=False).paint(only, picture, np.array([pose]), things, floor)
+    return cv2.resize(picture[0, 0], (width, height), interpolation=cv2.INTER_AREA)
 
 
 def top_view(
@@ -91,32 +92,34 @@ def draw_things(
         line: width of a fine line [px].
         numbers: write each car's number on the left of its way.
     """
-    things, num_cars = state.things(0), state.num_cars
+    things, num_cars = state.things()[0], state.num_cars
+    length = 2 * size * CAR.half_length
     # The first car on top.
     for slot in [*range(num_cars, len(things)), *reversed(range(num_cars))]:
-        thing = things[slot]
-        place = thing.x, thing.y, thing.cos, thing.sin
-        if thing.model is BOX:
-            box = placed(_SQUARE * thing.scale[:2], *place)
-            red, green, blue = thing.colour
-            plan.fill(box, thing.colour)
+        model, x, y, cos, sin, _, along, across, _, red, green, blue, *_ = things[slot].tolist()
+        place, colour = (x, y, cos, sin), (red, green, blue)
+        if MODELS[int(model)] is BOX:
+            box = placed(_SQUARE * (along, across), *place)
+            plan.fill(box, colour)
             plan.edge(box, (0.6 * red, 0.6 * green, 0.6 * blue), line)
         else:
             plan.fill(placed(1.22 * size * _OUTLINE, *place), _DARK)
-            plan.fill(placed(size * _OUTLINE, *place), thing.colour)
+            plan.fill(placed(size * _OUTLINE, *place), colour)
             plan.fill(placed(size * _WINDSCREEN, *place), GLASS)
             if numbers and slot < num_cars:
-                _number(plan, thing, str(slot + 1), 2 * size * CAR.half_length, line)
+                beside = placed(np.array([(0.0, 0.85 * length)]), *place)
+                _number(plan, beside, colour, str(slot + 1), length, line)
 
 
-def _number(plan: Plan, thing: Thing, number: str, length: float, line: int) -> None:
-    """Write a number on the left of a car that is drawn at a length [m]."""
-    place = placed(np.array([(0.0, 0.85 * length)]), thing.x, thing.y, thing.cos, thing.sin)
+def _number(
+    plan: Plan, place: np.ndarray, colour: Colour, number: str, length: float, line: int
+) -> None:
+    """Write the number of a car that is drawn at a length [m] at a place [m], (1, 2)."""
     column, row = (plan.pixels(place)[0] >> SHIFT).tolist()
     radius = max(int(0.36 * length / plan.pixel), 7 * line)
     cv2.circle(plan.picture, (column, row), radius, _DARK, -1, cv2.LINE_AA)
     ring = max(line, radius // 6)
-    cv2.circle(plan.picture, (column, row), radius, thing.colour, ring, cv2.LINE_AA)
+    cv2.circle(plan.picture, (column, row), radius, colour, ring, cv2.LINE_AA)
     font, size, thick = cv2.FONT_HERSHEY_SIMPLEX, radius / 20, max(1, round(radius / 8))
     (wide, high), _ = cv2.getTextSize(number, font, size, thick)
     corner = (column - wide // 2, row + high // 2)

@@ -16,8 +16,8 @@ import numpy as np
 
 from league.sim.camera import painting, scene, visual_randomization
 from league.sim.camera.ground import floor_of
-from league.sim.camera.scene_state import NEAR, Lens, SceneState, Thing, mount_of, table
-from league.sim.camera.tables import MOST_CORNERS, Floor, Models, Optics, Pose
+from league.sim.camera.scene_state import NEAR, Lens, SceneState, mount_of
+from league.sim.camera.tables import MOST_CORNERS, Floor, Models, Optics
 from league.sim.camera.visual_randomization import Look
 from league.sim.config import CameraConfig, SimConfig, VisualRandomization
 from league.sim.records import World
@@ -88,7 +88,7 @@ class PaintRenderer(Renderer):
         pictures = np.empty((*shape, 3) if cfg.colour else shape, np.uint8)
         for track in set(state.track.tolist()):
             rows = np.flatnonzero(state.track == track)
-            painter.paint_rows(rows, pictures, poses, things, self._floor(track))
+            painter.paint(rows, pictures, poses, things, self._floor(track))
         if look is not None:
             for row, picture in enumerate(pictures):
                 visual_randomization.develop(picture, look, row)
@@ -102,7 +102,7 @@ class Painter:
     """Draws what a lens sees; knows the lens and nothing that changes."""
 
     def __init__(self, lens: Lens, gray: bool, sky: Rgb = scene.SKY_COLOUR) -> None:
-        self._lens, self._gray = lens, gray
+        self._lens = lens
         channels = 1 if gray else 3
         self._optics = Optics(lens.focal, lens.cx, lens.cy, np.array(lens.eyes), channels, NEAR)
         shown = np.array([scene.luma(sky)] if gray else sky)
@@ -112,22 +112,6 @@ class Painter:
 
     def paint(
         self,
-        pictures: np.ndarray,
-        pose: Pose,
-        floor: Floor,
-        things: list[Thing],
-        phases: int = painting.FLOOR | painting.ROOM,
-    ) -> int:
-        """Draw over (num_eyes, height, width) or (..., 3) pictures, uint8, contiguous.
-
-        `phases` is which parts to draw. The row of the farthest floor is returned.
-        """
-        seen = table(things, gray=self._gray)[None]
-        only = np.zeros(1, np.int64)
-        return self.paint_rows(only, pictures[None], np.array([pose]), seen, floor, phases)
-
-    def paint_rows(
-        self,
         rows: np.ndarray,
         pictures: np.ndarray,
         poses: np.ndarray,
@@ -135,7 +119,11 @@ class Painter:
         floor: Floor,
         phases: int = painting.FLOOR | painting.ROOM,
     ) -> int:
-        """Draw the pictures of some worlds on one track; see painting.paint."""
+        """Draw over the pictures of some worlds on one track; see painting.paint.
+
+        They are uint8, contiguous, (num_pictures, num_eyes, height, width) or (..., 3). The row of
+        the farthest floor is returned.
+        """
         flat = pictures.reshape(*pictures.shape[:2], self._lens.height, -1)
         own = self._sky, self._optics, self._far, self._models
         return painting.paint(phases, rows, flat, poses, things, floor, *own)

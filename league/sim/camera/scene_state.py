@@ -8,7 +8,6 @@ is drawn upright on the floor.
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from league.sim.camera.scene import (
     CAR,
     CAR_COLOURS,
     MODELS,
-    Model,
     faded,
     lit,
 )
@@ -76,19 +74,6 @@ class Lens:
         return height / fall if fall > 0 else math.inf
 
 
-class Thing(NamedTuple):
-    """A car or a box as it stands in the world."""
-
-    model: Model  # CAR or BOX
-    x: float
-    y: float  # world frame [m]
-    cos: float
-    sin: float  # cosine and sine of the yaw
-    steering: float  # angle of the front wheels [rad]
-    colour: tuple[float, float, float]  # colour of the body, sRGB 0-255
-    scale: tuple[float, float, float]  # stretch of the model ahead, to the side and upwards
-
-
 class SceneState:
     """Some worlds of a batch, ready to be looked at from any car."""
 
@@ -136,10 +121,9 @@ class SceneState:
         stand(self._rows, car, self._cars, self._obstacles, mount, *shapes, poses, things)
         return poses, things
 
-    def things(self, row: int) -> list[Thing]:
-        """Return the cars, by slot, then the obstacles of a world."""
-        _, things = self.tables(-1, _NO_MOUNT)
-        return [_thing(*columns) for columns in things[row].tolist()]
+    def things(self, *, gray: bool | None = None) -> np.ndarray:
+        """Return all cars, by slot, then the obstacles; see `tables`."""
+        return self.tables(-1, _NO_MOUNT, gray=gray)[1]
 
 
 _CAR, _BOX = MODELS.index(CAR), MODELS.index(BOX)
@@ -150,23 +134,6 @@ def mount_of(cfg: CameraConfig) -> Mount:
     """Return how a car's camera is bolted to it."""
     lengths = cfg.forward, cfg.up, cfg.pitch, cfg.baseline / 2, MIN_HEIGHT
     return Mount(*map(float, lengths))
-
-
-def table(things: list[Thing], *, gray: bool) -> np.ndarray:
-    """Return things as float64 (num_things, THING_COLUMNS), their colours lit."""
-    rows = [
-        (MODELS.index(model), *place, *scale, *lit(colour, gray))
-        for model, *place, colour, scale in things
-    ]
-    return np.array(rows).reshape(-1, THING_COLUMNS)
-
-
-def _thing(model: float, *columns: float) -> Thing:
-    """Return a thing of a table with colours that are not lit."""
-    x, y, cos, sin, steering, along, across, upward, red, green, blue, *_ = columns
-    return Thing(
-        MODELS[int(model)], x, y, cos, sin, steering, (red, green, blue), (along, across, upward)
-    )
 
 
 @lru_cache(maxsize=64)
