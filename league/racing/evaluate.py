@@ -216,12 +216,8 @@ class _WorldRecorder:
     """A reward that pays what another does and keeps a copy of the worlds it was computed on."""
 
     def __init__(self, reward: Reward) -> None:
-        self._reward = reward
+        self._reward, self.terms = reward, reward.terms
         self.judged: World
-
-    @property
-    def terms(self) -> tuple[str, ...]:
-        return self._reward.terms
 
     def __call__(
         self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray

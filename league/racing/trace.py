@@ -272,15 +272,12 @@ class TrainingTrace:
     def __init__(self, reward: Reward, folder: Path, space: ActionSpace, sim: SimConfig) -> None:
         """Prepare; nothing is written before `flush`, or the end of the twentieth episode."""
         self._reward, self._folder, self._sim = reward, folder / TRAINING, sim
+        self.terms = reward.terms
+        """Names under which the other reward logs."""
         self._step_rows = StepRows(space)
         self._running: list[list[dict[str, Any]]] = []
         self._ended: list[list[dict[str, Any]]] = []
         self._episodes = self._steps = 0
-
-    @property
-    def terms(self) -> tuple[str, ...]:
-        """Names under which the other reward logs."""
-        return self._reward.terms
 
     @property
     def position(self) -> tuple[int, int]:
