@@ -5,7 +5,7 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from league.errors import LeagueError
+from league.errors import LeagueError, explaining
 
 
 @contextmanager
@@ -28,19 +28,15 @@ def replacing(
     """
     path = Path(path)
     temporary = path.parent / f".{path.name[:80]}.{os.urandom(6).hex()}"
+    failure = f"{what} cannot be written to {path}"
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.touch(exist_ok=False)
-        yield temporary
-        with temporary.open("rb") as written:
-            os.fsync(written.fileno())
-        temporary.replace(path)
-    except (OSError, *also) as refusal:
-        reason = getattr(refusal, "strerror", None) or refusal
-        raise error(
-            f"{what} cannot be written to {path} ({reason}): "
-            "give a place that can be written and has room"
-        ) from refusal
+        with explaining(failure, error, "give a place that can be written and has room", *also):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            temporary.touch(exist_ok=False)
+            yield temporary
+            with temporary.open("rb") as written:
+                os.fsync(written.fileno())
+            temporary.replace(path)
     finally:
         with suppress(OSError):  # it has its new name, or was never made
             temporary.unlink()

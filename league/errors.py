@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -51,6 +53,18 @@ class RewardError(LeagueError):
 
 class WorldError(LeagueError):
     """A world that left the numbers: NaN or infinity in a car's state."""
+
+
+@contextmanager
+def explaining(
+    failure: str, error: type[LeagueError], remedy: str, *also: type[Exception]
+) -> Generator[None]:
+    """Turn what the system, or by `also` a library, refuses into "failure (reason): remedy"."""
+    try:
+        yield
+    except (OSError, *also) as refusal:
+        reason = getattr(refusal, "strerror", None) or refusal
+        raise error(f"{failure} ({reason}): {remedy}") from refusal
 
 
 def nearest_names(name: str, known: list[str]) -> str:

@@ -14,7 +14,14 @@ from league.agents.policy import Policy
 from league.atomic_file import replacing
 from league.envs import rewards
 from league.envs.rewards import Reward
-from league.errors import ConfigError, LeagueError, PolicyError, brief, first_problem
+from league.errors import (
+    ConfigError,
+    LeagueError,
+    PolicyError,
+    brief,
+    explaining,
+    first_problem,
+)
 from league.racing import duels, trace
 from league.racing.duels import DuelConfig, Threshold
 from league.racing.table import Evaluation
@@ -223,13 +230,9 @@ class Run:
 
     def _prepare(self) -> None:
         """Write the settings, and start the history."""
-        try:
+        failure = f"the folder {self.folder} cannot be made"
+        with explaining(failure, PolicyError, "give --out a place that can be written"):
             self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise PolicyError(
-                f"the folder {self.folder} cannot be made ({error.strerror}): give --out a place "
-                "that can be written"
-            ) from None
         self._lock = run_folder.lock(self.folder)
         config.write(self.cfg, self.folder)
         run_folder.clear(self.folder)

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import uvicorn
 
-from league.errors import ConfigError
+from league.errors import ConfigError, explaining
 from league.matchmaking.store import Store
 from league.web.app import make_app
 from league.web.security import Access
@@ -56,14 +56,10 @@ def serve(
     # answer waits 40 ms for the acknowledgement of its head.
     with socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP) as listener:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
+        failure = f"the port {port} of {host} cannot be opened"
+        with explaining(failure, ConfigError, "give another --port, or an address of this machine"):
             listener.bind((host, port))
             listener.listen()
-        except OSError as error:
-            raise ConfigError(
-                f"the port {port} of {host} cannot be opened ({error.strerror}): give another "
-                "--port, or an address of this machine"
-            ) from error
         shown = f"[{host}]" if ":" in host else host
         ready(f"http://{shown}:{listener.getsockname()[1]}/")
         # Uvicorn takes a client's address from X-Forwarded-For only if a proxy here sends it.

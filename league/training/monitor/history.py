@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import BeforeValidator, ConfigDict, Discriminator, TypeAdapter
 
 from league.atomic_file import replacing
-from league.errors import PolicyError, brief
+from league.errors import PolicyError, brief, explaining
 
 if TYPE_CHECKING:
     from league.racing.table import Evaluation
@@ -185,26 +185,19 @@ class TrainingHistory:
     def _write(self, row: Row) -> None:
         if self._file is None:
             return
-        try:
+        failure = f"the history cannot be written to {self._file.name}"
+        remedy = "give --out a place that can be written and has room"
+        with explaining(failure, PolicyError, remedy):
             # One write of a whole line, flushed at once: a kill of the program cannot lose it, and
             # at worst tears the last one.
             self._file.write(_line(row))
             self._file.flush()
-        except OSError as refusal:
-            raise PolicyError(
-                f"the history cannot be written to {self._file.name} ({refusal.strerror}): "
-                "give --out a place that can be written and has room"
-            ) from refusal
 
 
 def read(path: Path) -> list[Row]:
     """Return the rows of a run's file but for a torn last line; PolicyError if it is none."""
-    try:
+    with explaining(f"{path} cannot be read", PolicyError, "give the folder of a training run"):
         lines = path.read_bytes().decode("utf-8", errors="replace").split("\n")
-    except OSError as error:
-        raise PolicyError(
-            f"{path} cannot be read ({error.strerror}): give the folder of a training run"
-        ) from error
     try:
         head = json.loads(lines[0])
     except ValueError:
