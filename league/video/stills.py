@@ -107,8 +107,8 @@ def draw_things(
             plan.fill(placed(size * _OUTLINE, *place), colour)
             plan.fill(placed(size * _WINDSCREEN, *place), GLASS)
             if numbers and slot < num_cars:
-                beside = placed(np.array([(0.0, 0.85 * length)]), *place)
-                _number(plan, beside, colour, str(slot + 1), length, line)
+                left_of_it = placed(np.array([(0.0, 0.85 * length)]), *place)
+                _number(plan, left_of_it, colour, str(slot + 1), length, line)
 
 
 def _number(
