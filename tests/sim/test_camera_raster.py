@@ -8,8 +8,8 @@ from numba import njit
 
 from league.sim.camera import painting, raster
 from league.sim.camera.ground import LEVELS, texels
-from league.sim.camera.renderer import MODELS, _part, models
-from league.sim.camera.scene import CAR, DECK, FAR_CAR
+from league.sim.camera.renderer import _part, models
+from league.sim.camera.scene import CAR, DECK, FAR_CAR, MODELS
 from league.sim.camera.tables import THING_COLUMNS, Floor, Optics, Pose, Room, Texture
 
 
