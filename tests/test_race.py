@@ -166,14 +166,14 @@ def test_an_answer_that_comes_too_late_is_as_good_as_none():
     class Slow(Follower):
         def act(self, observations):
             answer = super().act(observations)
-            until = time.thread_time() + 0.15
+            until = time.thread_time() + 0.05
             while time.thread_time() < until:
                 pass
             return answer
 
-    late = race.run_together([contest((Slow("late"), Follower("fine")))], patience_s=0.12)
+    late = race.run_together([contest((Slow("late"), Follower("fine")))], patience_s=0.04)
     none = race.run_together(
-        [contest((Follower("late", answers=["no"] * 100), Follower("fine")))], patience_s=0.12
+        [contest((Follower("late", answers=["no"] * 100), Follower("fine")))], patience_s=0.04
     )
     assert late[0].result == none[0].result
     assert kinds(late[0].result).count("driver_fault") == race.FAULTS_TO_END
