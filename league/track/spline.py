@@ -52,15 +52,15 @@ def through(points: np.ndarray, *, closed: bool) -> Spline:
     if closed:
         gap, slope = np.concatenate([gap[-1:], gap]), np.concatenate([slope[-1:], slope])
     before, after, change = gap[:-1], gap[1:], 6 * np.diff(slope, axis=0)
-    bends = np.zeros_like(ring)
-    inner = bends[:-1] if closed else bends[1:-1]
+    # Of a closed curve the last bend stands once more before the first, and the first behind.
+    bends = np.zeros((len(change) + 2, 2), ring.dtype)
     for _ in range(_SWEEPS):
         # before * bend before + 2 (before + after) * bend + after * bend after = change
-        others = before * (np.roll(bends[:-1], 1, axis=0) if closed else bends[:-2])
-        others += after * (np.roll(bends[:-1], -1, axis=0) if closed else bends[2:])
-        inner[:] = (change - others) / (2 * (before + after))
-    if closed:
-        bends[-1] = bends[0]
+        others = before * bends[:-2] + after * bends[2:]
+        bends[1:-1] = (change - others) / (2 * (before + after))
+        if closed:
+            bends[0], bends[-1] = bends[-2], bends[1]
+    bends = bends[1:] if closed else bends
     return Spline(travelled(ring), ring, bends)
 
 
@@ -172,8 +172,10 @@ def unfold(
     spacing = float(np.linalg.norm(center[1:2] - center[:1], axis=1)[0])
     lags = min(int(FOLD_REACH * wished.max() / max(spacing, 1e-6)), (len(center) - 1) // 2)
     limit = np.full(len(center), np.inf)
+    twice = np.concatenate([center, center])
     for lag in [*range(1, lags + 1), *range(-lags, 0)]:
-        delta = np.roll(center, -lag, axis=0) - center
+        start = lag % len(center)
+        delta = twice[start : start + len(center)] - center
         ahead = normal[:, 0] * delta[:, 0] + normal[:, 1] * delta[:, 1]
         square = delta[:, 0] ** 2 + delta[:, 1] ** 2
         ball = np.where(ahead > 1e-9, square / np.maximum(2 * ahead, 1e-9), np.inf)
