@@ -5,7 +5,7 @@ import json
 import re
 import subprocess
 import sys
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -66,7 +66,7 @@ LOADED_LATE = (
 )
 
 
-@lru_cache
+@cache
 def modules() -> dict[str, ast.Module]:
     """Return the tree of every module, by its name without `league.`."""
     found = {}
@@ -77,7 +77,8 @@ def modules() -> dict[str, ast.Module]:
     return found
 
 
-def imports(tree: ast.AST, *, late: bool = True) -> set[str]:
+@cache
+def imports(tree: ast.AST, *, late: bool = True) -> frozenset[str]:
     """Return the full names that a module imports; without `late` those it needs to be loaded."""
     found, nodes = set(), list(ast.iter_child_nodes(tree))
     while nodes:
@@ -89,7 +90,7 @@ def imports(tree: ast.AST, *, late: bool = True) -> set[str]:
             found |= {f"{node.module}.{alias.name}" for alias in node.names}
         elif late or not _is_late(node):
             nodes += ast.iter_child_nodes(node)
-    return found
+    return frozenset(found)
 
 
 def _is_late(node: ast.AST) -> bool:
