@@ -8,20 +8,22 @@ import pytest
 from playwright.sync_api import Browser, sync_playwright
 
 from tests.browser import chromium
-from tests.browser.pages import served
 from tests.matchmaking.season_kit import Store
+from tests.web.serving import serving
 from tests.web.small_league import raced_league
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def store(tmp_path_factory) -> Iterator[Store]:
+    """Return a league that is only read: raced once for all modules."""
     with raced_league(f"sqlite:///{tmp_path_factory.mktemp('league') / 'league.db'}") as store:
         yield store
 
 
 @pytest.fixture(scope="module")
 def origin(store) -> Iterator[str]:
-    with served(store.url) as address:
+    """Return the pages' address. A thread serves them: a process would load the league again."""
+    with serving(store) as address:
         yield address
 
 
