@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser, Page, sync_playwright
 
 from tests.browser import chromium
+from tests.browser.looking import opened
 from tests.matchmaking.season_kit import Store
 from tests.web.serving import serving
 from tests.web.small_league import raced_league
@@ -30,9 +31,11 @@ def origin(store) -> Iterator[str]:
 @pytest.fixture
 def browser(running_browser) -> Iterator[Browser]:
     """Return the browser; a page that goes on playing must not slow down the next test."""
+    before = running_browser.contexts
     yield running_browser
     for context in running_browser.contexts:
-        context.close()
+        if context not in before:
+            context.close()
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +45,14 @@ def running_browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
         browser = playwright.chromium.launch(executable_path=chromium.program(), args=list(flags))
         yield browser
         browser.close()
+
+
+@pytest.fixture(scope="module")
+def shared_page(running_browser, origin) -> Iterator[Page]:
+    """Return a page for one address after the other: a page of its own is a process for each."""
+    page = opened(running_browser, origin, [])
+    yield page
+    page.context.close()
 
 
 @pytest.fixture

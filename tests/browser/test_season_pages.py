@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from league.matchmaking.store import Store
-from tests.browser.axe import serious_faults
+from tests.browser.axe import open_still, serious_faults
 from tests.browser.looking import (
     NEEDS_CHROMIUM,
     PHONE,
@@ -109,8 +109,7 @@ def test_rounds_are_columns_with_lines_and_on_a_phone_one_below_the_other(browse
 
 
 @pytest.mark.parametrize("path", PATHS)
-def test_axe_finds_nothing_serious(browser, origin, path):
-    page = opened(browser, origin, [], reduced_motion="reduce")
-    page.goto(path)
-    assert serious_faults(page) == {}
-    assert page.evaluate("window.name") == ""  # a driver's name holds HTML
+def test_axe_finds_nothing_serious(shared_page, path):
+    open_still(shared_page, path)
+    assert serious_faults(shared_page) == {}
+    assert shared_page.evaluate("window.name") == ""  # a driver's name holds HTML
