@@ -41,7 +41,7 @@ SHARES = {
     "referee": ("controls, referee and penalties", "step.py", "step"),
     "sensors": ("cameras and lidars", "sensor_suite.py", "read"),
     "inference": ("inference", "policy.py", "act"),
-    "recording": ("recording", "recording.py", "add"),
+    "recording": ("recording", "replay.py", "add"),
 }
 
 

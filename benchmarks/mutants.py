@@ -84,8 +84,7 @@ PARTS = {
     ),
     "ratings": Part(
         ("matchmaking/ratings/fit.py", "matchmaking/ratings/systems.py",
-         "matchmaking/ratings/pair_counts.py", "matchmaking/ratings/table.py",
-         "matchmaking/ratings/update.py"),
+         "matchmaking/ratings/pair_counts.py", "matchmaking/ratings/table.py"),
         ("matchmaking/test_ratings.py", "matchmaking/test_update.py"),
         plain=False,
     ),

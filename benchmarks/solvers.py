@@ -61,7 +61,7 @@ class Floor:
             env._controls[:] = controls
             env._run(stages.PHYSICS, env._controls)
         else:
-            env._solver.step(world.cars, world.obstacles, world.worlds, controls, self.touched)
+            env._solver.step(world, controls, self.touched)
         self.cars["target_steering"] = controls[..., 0]
         self.cars["target_speed"] = controls[..., 1]
 

@@ -1,14 +1,11 @@
 """Atomic writes: a file appears whole, or not at all."""
 
-from __future__ import annotations
-
 import os
-import tempfile
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from league.errors import LeagueError
+from league.errors import LeagueError, explaining
 
 
 @contextmanager
@@ -30,35 +27,23 @@ def replacing(
         also: such errors of libraries, besides OSError.
     """
     path = Path(path)
-    temporary: Path | None = None
+    temporary = path.parent / f".{path.name[:80]}.{os.urandom(6).hex()}"
+    failure = f"{what} cannot be written to {path}"
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:80]}.")
-        os.close(handle)
-        temporary = Path(name)
-        yield temporary
-        with temporary.open("rb") as written:
-            os.fsync(written.fileno())
-        # Temporary files are made for their owner alone.
-        temporary.chmod(0o666 & ~_umask())
-        temporary.replace(path)
-    except (OSError, *also) as refusal:
-        reason = getattr(refusal, "strerror", None) or refusal
-        raise error(
-            f"{what} cannot be written to {path} ({reason}): "
-            "give a place that can be written and has room"
-        ) from refusal
+        with explaining(failure, error, "give a place that can be written and has room", *also):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            temporary.touch(exist_ok=False)
+            yield temporary
+            with temporary.open("rb") as written:
+                os.fsync(written.fileno())
+            temporary.replace(path)
     finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # it has its new name, or was never made
+            temporary.unlink()
 
 
 def check_writable(path: Path, what: str, error: type[LeagueError]) -> None:
-    """Refuse a place where a file cannot be made, before the work that it is to keep.
-
-    Raises:
-        LeagueError: of the given type, in one sentence.
-    """
+    """Refuse a place where no file can be made, before the work that it is to keep."""
     there = path.parent
     while not there.exists() and there != there.parent:
         there = there.parent
@@ -71,9 +56,3 @@ def check_writable(path: Path, what: str, error: type[LeagueError]) -> None:
     else:
         return
     raise error(f"{what} cannot be written to {path} ({reason}): give a place that can be written")
-
-
-def _umask() -> int:
-    mask = os.umask(0o022)
-    os.umask(mask)
-    return mask

@@ -1,5 +1,15 @@
 """The errors that a user can meet; messages say what was given and expected, and a remedy."""
 
+from __future__ import annotations
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
+    from pydantic_core import ErrorDetails
+
 
 class LeagueError(Exception):
     """Base of the errors of files, command lines and API calls."""
@@ -45,12 +55,34 @@ class WorldError(LeagueError):
     """A world that left the numbers: NaN or infinity in a car's state."""
 
 
+@contextmanager
+def explaining(
+    failure: str, error: type[LeagueError], remedy: str, *also: type[Exception]
+) -> Generator[None]:
+    """Turn what the system, or by `also` a library, refuses into "failure (reason): remedy"."""
+    try:
+        yield
+    except (OSError, *also) as refusal:
+        reason = getattr(refusal, "strerror", None) or refusal
+        raise error(f"{failure} ({reason}): {remedy}") from refusal
+
+
 def nearest_names(name: str, known: list[str]) -> str:
     """Return a phrase for an error message: the nearest names, or all where none is near."""
     import difflib
 
     close = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
     return f"nearest: {', '.join(close)}" if close else f"there are {', '.join(sorted(known))}"
+
+
+def first_problem(error: ValidationError, whole: str) -> tuple[ErrorDetails, str, str]:
+    """Return the first thing that pydantic found, which field that is, and the reason.
+
+    `whole` is the field's place where the fault lies in no field.
+    """
+    first = error.errors(include_url=False)[0]
+    where = ".".join(str(part)[:40] for part in first["loc"]) or whole
+    return first, where, first["msg"].removeprefix("Value error, ").replace("\n", " ")[:200]
 
 
 def brief(value: object) -> str:

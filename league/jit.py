@@ -9,9 +9,6 @@ Results are the same bits on every machine: no fast-math, so LLVM neither fuses 
 with an addition nor reorders a sum.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportReturnType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import hashlib
@@ -21,14 +18,14 @@ import tempfile
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numba
-from numba import njit
 from numba.core import caching
 from numba.core.runtime.nrt import rtsys
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
+_Function = Callable[..., Any]
+njit: Any = numba.njit
 _INNER: dict[str, Any] = {
     "error_model": "numpy",
     "no_cpython_wrapper": True,
@@ -67,10 +64,7 @@ def source_digest() -> str:
 
 @cache
 def cache_folder() -> Path | None:
-    """Return the folder of the machine code: in the package, or in the user's cache; or None.
-
-    None means that neither can be written; then each process compiles for itself.
-    """
+    """Return where machine code is kept, in the package or the user's cache; None: nowhere."""
     shared = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     for base in (Path(__file__).parent / "__pycache__", Path(shared) / "racing-league"):
         folder = base / f"jit-{source_digest()}"
@@ -123,15 +117,12 @@ class _Cache(caching.FunctionCache):
             return self._load_overload(sig, target_context)
 
 
-def compiled(function: _Function | None = None, *, allocates: bool = False) -> _Function:
+def compiled(function: _Function | None = None, *, allocates: bool = False) -> Any:  # noqa: ANN401
     """Compile a function that is called from Python; its machine code is kept on disk.
 
     It releases the interpreter, so that several threads may each work on worlds of their own.
-
-    Args:
-        function: what is compiled.
-        allocates: whether it makes or returns arrays. Without them, views of arrays have no
-            reference counts: these cost more than the arithmetic of a short function.
+    `allocates` says whether it makes or returns arrays: otherwise views of arrays have no reference
+    counts, which cost more than the arithmetic of a short function.
     """
     if function is None:
         return partial(compiled, allocates=allocates)
@@ -141,18 +132,15 @@ def compiled(function: _Function | None = None, *, allocates: bool = False) -> _
     return dispatcher
 
 
-def inner(function: _Function | None = None, *, allocates: bool = False) -> _Function:
+def inner(function: _Function | None = None, *, allocates: bool = False) -> Any:  # noqa: ANN401
     """Compile a function that only compiled functions call; see `compiled`."""
     if function is None:
         return partial(inner, allocates=allocates)
     return njit(_nrt=allocates, **_INNER)(function)
 
 
-def spliced(function: _Function) -> _Function:
-    """Compile a long function of one caller as a part of that caller.
-
-    It is optimised once and not once for each function that it is made of.
-    """
+def spliced(function: _Function) -> Any:  # noqa: ANN401
+    """Compile a long function as a part of its one caller: it is optimised once, not twice."""
     return njit(inline="always", **_INNER)(function)
 
 

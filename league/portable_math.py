@@ -7,9 +7,6 @@ and cosine are off by less than 1e-7 for angles up to 8,192 rad, and by less tha
 last place up to 30 rad.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 As a program (`python -m league.precompile`, which `make sync` runs) it compiles what is missing.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil
@@ -17,6 +15,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
+
 from league import jit
 from league.errors import LeagueError
 
@@ -25,11 +25,7 @@ _PACKAGE = Path(__file__).parent
 
 
 def ensure() -> None:
-    """Compile everything that this installation has not compiled yet; show progress on stderr.
-
-    Raises:
-        LeagueError: a part failed.
-    """
+    """Compile all that is not compiled yet, with progress on stderr; LeagueError if it fails."""
     folder = jit.cache_folder()
     if folder is None or (folder / _COMPLETE).exists():
         return
@@ -45,8 +41,8 @@ def ensure() -> None:
                     done.append(part)
                     _show(len(done), began)
 
-        for group in [pool.submit(compile_group, parts) for parts in GROUPS]:
-            group.result()
+        for _ in pool.map(compile_group, GROUPS):
+            pass
     import compileall  # late: it is needed once
 
     # An editable install has no bytecode, and containers often keep Python from writing any: then
@@ -57,11 +53,7 @@ def ensure() -> None:
 
 
 def _compiled(parts: tuple[str, ...]) -> Iterator[str]:
-    """Compile parts in a process of their own, for Numba compiles one function at a time.
-
-    Yields:
-        Each part when it is compiled.
-    """
+    """Compile parts in a process of their own (Numba is serial); yield each when it is done."""
     with (
         tempfile.TemporaryFile("w+") as errors,
         subprocess.Popen(
@@ -107,8 +99,6 @@ def _remove_older(folder: Path) -> None:
 
 def _physics() -> None:
     """Physics and referee of the planar simulator, which `worlds` puts together."""
-    import numpy as np
-
     from league.sim import records, referee, settings
     from league.sim.config import SimConfig
     from league.sim.physics import planar
@@ -117,21 +107,17 @@ def _physics() -> None:
     cars, obstacles = np.zeros(2, records.CAR), np.zeros(0, records.OBSTACLE)
     contacts, verdicts = np.zeros(2, records.CONTACT), np.zeros(2, records.VERDICT)
     controls, world = np.zeros((2, 2), np.float32), np.zeros(1, records.WORLD)[0]
-    course, rules = tracks.courses[0], settings.settings(sim)[0]
-    points = tracks.points
-    jit.specialise(
-        planar.step_world, cars, obstacles, course, controls, contacts, planar.schedule(2), rules
-    )
-    jit.specialise(
-        referee.judge, cars, cars, obstacles, world, verdicts, contacts, points, course, rules
-    )
-    jit.specialise(referee.penalise, cars, obstacles, verdicts, points, course, rules)
+    place = tracks.courses[0], settings.settings(sim)[0]
+    course, rules = place
+    moved = cars, obstacles, course, controls, contacts, planar.schedule(2), rules
+    judged = cars, cars, obstacles, world, verdicts, contacts, tracks.points, *place
+    jit.specialise(planar.step_world, *moved)
+    jit.specialise(referee.judge, *judged)
+    jit.specialise(referee.penalise, cars, obstacles, verdicts, tracks.points, *place)
 
 
 def _worlds() -> None:
     """Reset, step, lidar, running order and the critic's state of the planar simulator."""
-    import numpy as np
-
     from league.envs.config import EnvConfig
     from league.envs.race_env import RaceEnv
     from league.sim import referee
@@ -147,8 +133,6 @@ def _worlds() -> None:
 
 def _bullet() -> None:
     """Suspension and tyres of the Bullet solver, and the reward terms as Python calls them."""
-    import numpy as np
-
     from league.envs.config import EnvConfig
     from league.envs.race_env import RaceEnv
     from league.envs.rewards import BuiltIn
@@ -161,8 +145,6 @@ def _bullet() -> None:
 
 def _scripted() -> None:
     """Racing line and scripted drivers."""
-    import numpy as np
-
     from league.agents import roster
     from league.envs.state import SIZE
     from league.sim.config import CarConfig
@@ -174,8 +156,6 @@ def _scripted() -> None:
 
 def _policies() -> None:
     """The forward pass of policies."""
-    import numpy as np
-
     from league.agents.network import NetworkConfig, group_shapes, weight_shapes
     from league.agents.policy import Network
     from league.sim.config import SensorConfig
@@ -191,44 +171,33 @@ def _policies() -> None:
 
 def _cameras() -> None:
     """The painter of pictures."""
-    import numpy as np
-
     from league.sim import records
     from league.sim.camera.renderer import PaintRenderer
     from league.sim.config import CameraConfig, SimConfig
     from league.sim.records import World
 
-    world = World(
-        np.zeros(1, records.WORLD),
-        np.zeros((1, 2), records.CAR),
-        np.zeros((1, 0), records.OBSTACLE),
-    )
+    cars, obstacles = np.zeros((1, 2), records.CAR), np.zeros((1, 0), records.OBSTACLE)
+    world = World(np.zeros(1, records.WORLD), cars, obstacles)
     sim = SimConfig(kind="head_to_head", num_cars=2)
     PaintRenderer(_tracks(), sim, CameraConfig(width=32, height=24)).render(world, 0)
 
 
 def _videos() -> None:
     """What films draw on whole pictures."""
-    import numpy as np
-
     from league.sim.camera.scene_state import NEAR
     from league.sim.camera.tables import Optics, Pose
     from league.video.pixels import draw_shadow, mix
 
     pose = Pose(0.0, 0.0, 0.5, 1.0, 0.0, 1.0, 0.0)
     optics = Optics(1.0, 1.0, 1.0, np.zeros(1), 3, NEAR)
-    picture = np.zeros((4, 4, 3), np.uint8)
-    draw_shadow(
-        picture.reshape(4, -1), 3, np.column_stack([np.eye(2), [0, 0]]), 0.1, 0.5, optics, pose
-    )
+    picture, outline = np.zeros((4, 4, 3), np.uint8), np.column_stack([np.eye(2), [0, 0]])
+    draw_shadow(picture.reshape(4, -1), 3, outline, 0.1, 0.5, optics, pose)
     for paint in (picture.copy(), np.broadcast_to(picture[0, 0], picture.shape)):
         mix(picture[:2, :2], paint[:2, :2], np.zeros((4, 4), np.uint8)[:2, :2], 256)
 
 
 def _places() -> None:
     """Places along tracks, as replays and evaluations look them up."""
-    import numpy as np
-
     tracks, world, place = _tracks(), np.zeros(1, np.int64), np.zeros((1, 1), np.float32)
     tracks.project(world, place, place)
     tracks.at(world, place)
@@ -249,23 +218,19 @@ def _tracks():  # noqa: ANN202
     return TrackSet(files.load("peanut"))
 
 
-PARTS: dict[str, Callable[[], None]] = {
-    "physics": _physics,
-    "worlds": _worlds,
-    "scripted": _scripted,
-    "cameras": _cameras,
-    "videos": _videos,
-    "policies": _policies,
-    "places": _places,
-    "bullet": _bullet,
-    "reward_functions": _reward_functions,
-}
 GROUPS = (
     ("places", "policies", "worlds", "bullet", "reward_functions"),
     ("physics", "scripted", "cameras", "videos"),
 )
 """Parts that one process compiles. `worlds` comes to what `physics` compiles after half of its
 time, and what the two parts after it need is then compiled."""
+PARTS: dict[str, Callable[[], None]] = {
+    part.__name__.removeprefix("_"): part
+    for part in (
+        *(_physics, _worlds, _scripted, _cameras, _videos, _policies, _places, _bullet),
+        _reward_functions,
+    )
+}
 
 
 def _main() -> None:

@@ -4,8 +4,6 @@ They cross files and the command line, so they are pydantic models: checked, and
 reason.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
@@ -19,7 +17,7 @@ from pydantic import (
 )
 
 from league import times
-from league.errors import ConfigError, brief
+from league.errors import ConfigError, brief, first_problem
 from league.sim.config import (
     MAX_OBSTACLES,
     USUAL_OBSTACLES,
@@ -69,55 +67,49 @@ Name = Annotated[str, AfterValidator(printable)]
 class Entry(FrozenModel):
     """The driver of one car."""
 
+    # name of a scripted driver, or the label of a checkpoint
     name: Name = Field(min_length=1, max_length=200)
-    """Name of a scripted driver, or the label of a checkpoint."""
+    # SHA-256 of the checkpoint; empty for scripted drivers
     digest: str = Field(default="", max_length=64)
-    """SHA-256 of the checkpoint; empty for scripted drivers."""
+    # where the checkpoint was when the race was asked for; empty for scripted drivers
     path: str = Field(default="", max_length=1000, pattern=r"^(|.*\.pt)$")
-    """Where the checkpoint was when the race was asked for; empty for scripted drivers."""
 
 
 class RaceSpec(FrozenModel):
     """All that decides a race, besides the drivers' own weights; same spec, same race."""
 
-    track: str = Field(default="reinvent_2018", min_length=1, max_length=200)
-    """Name of a track."""
-    kind: RaceKind = "head_to_head"
-    """Kind of race."""
-    laps: int = Field(default=3, ge=1, le=1000)
-    """Laps to drive."""
-    seed: int = Field(default=0, ge=0, lt=2**63)
-    """Seed of obstacles, noise and randomisation."""
-    solver: SolverName = "bullet"
-    """Physics solver."""
+    track: str = Field(default="reinvent_2018", min_length=1, max_length=200)  # name of a track
+    kind: RaceKind = "head_to_head"  # kind of race
+    laps: int = Field(default=3, ge=1, le=1000)  # laps to drive
+    seed: int = Field(default=0, ge=0, lt=2**63)  # seed of obstacles, noise and randomisation
+    solver: SolverName = "bullet"  # physics solver
+    # order by total time, best lap, or best mean of consecutive laps
     ranking: Literal["total", "best", "average"] = "total"
-    """Order by total time, best lap, or best mean of consecutive laps."""
+    # how many consecutive laps a mean is of, or all where fewer are raced
     average_laps: int = Field(default=2, ge=1, le=1000)
-    """How many consecutive laps a mean is of, or all where fewer are raced."""
+    # which rules: those of this league, or the original's, under which older races were driven
     rules: RulesName = "league"
-    """Which rules: those of this league, or the original's, under which older races were driven."""
-    entries: tuple[Entry, ...] = Field(min_length=1, max_length=8)
-    """The field, in grid order."""
+    entries: tuple[Entry, ...] = Field(min_length=1, max_length=8)  # the field, in grid order
+    # How the cars line up: standing, in the order of a race's organiser; qualifying, the fastest
+    # first; reverse, the fastest last; pursuit, spread evenly round the lap. `entries` are in the
+    # order that this gave.
     format: RaceFormat = "standing"
-    """How the cars line up: standing, in the order of a race's organiser; qualifying, the fastest
-    first; reverse, the fastest last; pursuit, spread evenly round the lap. `entries` are in the
-    order that this gave."""
+    # boxes or bots; by default six in obstacle avoidance, and none in the other kinds
     obstacles: int = Field(default=0, ge=0, le=MAX_OBSTACLES)
-    """Boxes or bots; by default six in obstacle avoidance, and none in the other kinds."""
+    # standing boxes, or slow bot cars that change lanes
     obstacle_kind: Literal["box", "bot"] = "box"
-    """Standing boxes, or slow bot cars that change lanes."""
+    # obstacles at random places for each seed; otherwise evenly spaced
     random_obstacles: bool = True
-    """Obstacles at random places for each seed; otherwise evenly spaced."""
+    # seconds frozen after leaving the road
     off_track_penalty_s: float = Field(default=2.0, ge=0, le=600)
-    """Seconds frozen after leaving the road."""
+    # seconds frozen after the hardest contact to blame for
     crash_penalty_s: float = Field(default=5.0, ge=0, le=600)
-    """Seconds frozen after the hardest contact to blame for."""
+    # the race is stopped after this time [s]; 0 chooses by length
     max_time_s: float = Field(default=0.0, ge=0, le=36_000)
-    """The race is stopped after this time [s]; 0 chooses by length."""
+    # how much cars of one kind differ, drawn from the seed; 0: not at all, 1: as in a league
     variation: float = Field(default=0.0, ge=0, le=10)
-    """How much cars of one kind differ, drawn from the seed; 0: not at all, 1: as in a league."""
+    # largest speed at the start [m/s], drawn from the seed; 0: cars start at rest
     start_speed: float = Field(default=0.0, ge=0, le=12)
-    """Largest speed at the start [m/s], drawn from the seed; 0: cars start at rest."""
 
     @property
     def title(self) -> str:
@@ -164,8 +156,7 @@ def checked(settings: Mapping[str, Any]) -> RaceSpec:
     try:
         return RaceSpec.model_validate(dict(settings))
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-    where = ".".join(str(part)[:40] for part in first["loc"]) or "the spec"
+        first, where, reason = first_problem(error, "the spec")
     if first["type"] == "missing":
         raise ConfigError(f"the race lacks the field {where}: say what it is to be")
     if first["type"] == "extra_forbidden":
@@ -174,8 +165,7 @@ def checked(settings: Mapping[str, Any]) -> RaceSpec:
         )
     if first["loc"] == ("entries",) and isinstance(first["input"], (list, tuple)):
         raise ConfigError(f"{len(first['input'])} drivers were named: give 1 to 8")
-    reason = _wanted(where) or first["msg"].removeprefix("Value error, ").replace("\n", " ")[:200]
-    raise ConfigError(f"{where} is {brief(first['input'])}: {reason}")
+    raise ConfigError(f"{where} is {brief(first['input'])}: {_wanted(where) or reason}")
 
 
 def _wanted(name: str) -> str:
@@ -193,52 +183,33 @@ def _wanted(name: str) -> str:
 class Event(FrozenModel):
     """An event of a race."""
 
-    time_s: float
-    """Race time [s]."""
+    time_s: float  # race time [s]
     kind: EventKind
-    car: int
-    """The car it happened to."""
-    other: int | None = None
-    """The other car or the obstacle, where there is one."""
-    value: float | None = None
-    """Lap time [s], penalty [s] or place, by kind."""
+    car: int  # the car it happened to
+    other: int | None = None  # the other car or the obstacle, where there is one
+    value: float | None = None  # lap time [s], penalty [s] or place, by kind
 
 
 class CarResult(FrozenModel):
     """How one car's race ended."""
 
-    car: int
-    """Grid slot, from 0."""
-    name: Name
-    """Name of its driver."""
-    place: int
-    """From 1; equal places do not occur."""
-    finished: bool
-    """Whether all laps were driven."""
-    laps: int
-    """Complete laps."""
+    car: int  # grid slot, from 0
+    name: Name  # name of its driver
+    place: int  # from 1; equal places do not occur
+    finished: bool  # whether all laps were driven
+    laps: int  # complete laps
+    # time of the last complete lap's end, penalties included [s]; race time if not finished
     total_s: float
-    """Time of the last complete lap's end, penalties included [s]; race time if not finished."""
-    lap_times_s: tuple[float, ...]
-    """Each complete lap [s], penalties included."""
-    distance: float
-    """Driven along the track [m]."""
-    off_tracks: int
-    """Times off the track."""
-    crashes: int
-    """Contacts penalised."""
-    touches: int = 0
-    """Contacts to blame for that were too light for a penalty."""
-    contacts_taken: int
-    """Contacts others were to blame for."""
-    immobilised: int
-    """Times immobilised."""
-    reversed: int
-    """Times driving backwards."""
-    penalty_s: float
-    """Seconds of penalty in all."""
-    overtakes: int
-    """Cars passed on the road."""
+    lap_times_s: tuple[float, ...]  # each complete lap [s], penalties included
+    distance: float  # driven along the track [m]
+    off_tracks: int  # times off the track
+    crashes: int  # contacts penalised
+    touches: int = 0  # contacts to blame for that were too light for a penalty
+    contacts_taken: int  # contacts others were to blame for
+    immobilised: int  # times immobilised
+    reversed: int  # times driving backwards
+    penalty_s: float  # seconds of penalty in all
+    overtakes: int  # cars passed on the road
 
     @property
     def best_lap_s(self) -> float | None:
@@ -249,15 +220,9 @@ class CarResult(FrozenModel):
 class RaceResult(FrozenModel):
     """The classification of a race."""
 
-    spec: RaceSpec
-    """Its settings."""
-    order: tuple[CarResult, ...]
-    """Cars by place."""
-    steps: int
-    """Control steps raced."""
-    race_s: float
-    """Race time [s]."""
-    lead_changes: int
-    """How often another car took the lead."""
-    events: tuple[Event, ...]
-    """All events, by time."""
+    spec: RaceSpec  # its settings
+    order: tuple[CarResult, ...]  # cars by place
+    steps: int  # control steps raced
+    race_s: float  # race time [s]
+    lead_changes: int  # how often another car took the lead
+    events: tuple[Event, ...]  # all events, by time

@@ -5,8 +5,6 @@ a thread; a plain fork would inherit torch's threads and the database's connecti
 process imports for itself.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import multiprocessing
@@ -25,8 +23,7 @@ SERVER_STARTS = 5
 """Starts of the server for one process before its death counts as this machine's fault."""
 
 _SERVED = sys.platform == "linux"
-_DIE_WITH_PARENT = 1
-"""PR_SET_PDEATHSIG of prctl(2)."""
+_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
 _LIBC = ctypes.CDLL(None) if _SERVED else None
 
 CONTEXT = (
@@ -36,11 +33,7 @@ CONTEXT = (
 
 
 def prepare(modules: Sequence[str]) -> None:
-    """Start the server, without waiting for it; it imports these modules if it does not run yet.
-
-    Raises:
-        ConfigError: no process can be started on this machine.
-    """
+    """Start the server, which imports modules; ConfigError if no process can be started."""
     if _SERVED:
         CONTEXT.set_forkserver_preload(list(modules))
         with failing_in_one_sentence():
@@ -48,13 +41,7 @@ def prepare(modules: Sequence[str]) -> None:
 
 
 def start(target: Callable[..., None], *arguments: object) -> BaseProcess:
-    """Start a process; the first waits until the server has imported its modules.
-
-    `target` is a function of a module; its arguments may hold pipes and queues of CONTEXT.
-
-    Raises:
-        ConfigError: none can be started on this machine.
-    """
+    """Run a module's function in a process; the first waits until the server has its modules."""
     process = CONTEXT.Process(target=_run, args=(target, *arguments), daemon=True)
     with failing_in_one_sentence():
         for _ in range(SERVER_STARTS - 1):

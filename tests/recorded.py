@@ -38,10 +38,7 @@ def recorder_of(frames: int, change: Change = lambda world, _: world, cars: int 
         now = change(world, number).copy()
         now.worlds["step"] = number
         now.cars["action_steering"] = now.cars["action_speed"] = 0.25 if number else 0.0
-        if number == 0:
-            recorder.start(now)
-        else:
-            recorder.add(now)
+        recorder.add(now)
     return recorder
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from league import replay as replays
-from league.cli import rewards as command
+from league.cli import evaluate as command
 from league.deepracer import check, rescore, user_reward
 from league.envs import rewards
 from league.envs.rewards import built_in
@@ -166,12 +166,12 @@ def test_score_prints_totals_and_draws_both(recorded, tmp_path, capsys):
     _, path = recorded
     out = tmp_path / "new" / "two.png"
     wish = str(EXAMPLES / "reward_progress.py")
-    assert command.ScoreReplay(path, wish, out=out).run() == 0
+    command.ScoreReplay(path, wish, out=out).run()
     said = capsys.readouterr().out
     assert "reward_progress.py" in said
     assert "progress (built in)" in said
     assert out.read_bytes().startswith(b"\x89PNG")
-    assert command.ScoreReplay(path, wish, out=out, json=True).run() == 0
+    command.ScoreReplay(path, wish, out=out, json=True).run()
     told = json.loads(capsys.readouterr().out)
     # A whole lap is 100 %, and its end pays 10; the second car drives 0.75 m more.
     totals = [car["total"] for car in told["scores"][0]["totals"]]

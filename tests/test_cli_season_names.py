@@ -113,7 +113,8 @@ def test_the_page_of_a_run_shows_names_as_they_stand(folder, monkeypatch, capsys
     copy.write_bytes((folder / "league.db").read_bytes())
     with Store(f"sqlite:///{copy}") as store:
         dispatcher = Dispatcher(store, Here())
-        with LivePage(store, dispatcher) as page:
+        page = LivePage(store, dispatcher)
+        with page.live:
             loop.run(store, dispatcher, Matchmaker(store), heats=4, watch=page.show)
     text = capsys.readouterr().out
     assert CLOSING in text and "\\[" not in text

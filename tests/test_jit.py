@@ -191,10 +191,10 @@ def test_worlds_of_any_size_meet_the_code_that_is_compiled_already(race_env):
 
 
 def test_pictures_of_any_kind_meet_the_code_that_is_compiled_already(race_env):
-    from league.sim.camera import painting, standing
+    from league.sim.camera import painting, scene_state
     from league.sim.camera.renderer import PaintRenderer
     from league.sim.config import CameraConfig, ObstacleConfig, SimConfig, VisualRandomization
-    from league.video.top_view import chase_view
+    from league.video.stills import chase_view
 
     boxes = SimConfig(kind="obstacle_avoidance", obstacles=ObstacleConfig(count=2))
     pack, stereo = SimConfig(kind="head_to_head", num_cars=3), CameraConfig(width=16, height=12)
@@ -211,7 +211,7 @@ def test_pictures_of_any_kind_meet_the_code_that_is_compiled_already(race_env):
         for rows in (None, np.array([2, 0])):
             renderer.render(world, 0, rows)
         chase_view(env.tracks, sim, world, 1, 0, 64, 36)
-        signatures = [*painting.paint.signatures, *standing.stand.signatures]
+        signatures = [*painting.paint.signatures, *scene_state.stand.signatures]
         known = known or signatures
         assert signatures == known and len(known) == 2
 

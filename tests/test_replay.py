@@ -103,7 +103,7 @@ def test_what_happens_to_the_race_later_does_not_reach_the_recording():
     world = first_world(tracks)
     before = world.cars["x"].copy()
     recorder = replay.Recorder(by_hand(1).spec, tracks)
-    recorder.start(world)
+    recorder.add(world)
     world.cars["action_steering"] = world.cars["action_speed"] = 0.5
     recorder.add(world)
     assert np.array_equal(world.cars["x"], before)
@@ -206,14 +206,8 @@ def test_times_outside_the_race_are_its_ends():
 
 
 def test_the_recorder_says_what_is_missing():
-    tracks = TrackSet(files.load("reinvent_2018"))
-    recorder = replay.Recorder(by_hand(1).spec, tracks)
-    world = first_world(tracks)
-    with pytest.raises(ValueError, match="start"):
-        recorder.add(world)
-    recorder.start(world)
-    with pytest.raises(ValueError, match="new one"):
-        recorder.start(world)
+    with pytest.raises(ValueError, match="nothing was recorded"):
+        finish(replay.Recorder(by_hand(1).spec, TrackSet(files.load("reinvent_2018"))), 1)
 
 
 # Broadcast data.

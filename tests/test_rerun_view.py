@@ -124,7 +124,7 @@ def test_wheels_roll_as_far_as_the_car_drives():
 
 
 def test_a_wheel_is_turned_then_rolled_about_its_own_axle():
-    x, y, z, w = scene.wheel_rotation(np.array(np.pi / 2), np.array(np.pi / 2))
+    x, y, z, w = scene.rotation(np.array(np.pi / 2), np.array(np.pi / 2))
     # Its axle (y in its own frame) points along -x after a quarter turn to the left.
     turned = np.array([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
     assert turned == pytest.approx([-1.0, 0.0, 0.0], abs=1e-12)

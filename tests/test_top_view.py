@@ -5,7 +5,7 @@ import pytest
 
 from league.errors import ConfigError
 from league.sim.camera.scene import CAR_COLOURS
-from league.video.top_view import chase_view, top_view
+from league.video.stills import chase_view, top_view
 from tests.sim.looking import room, settings, world
 
 

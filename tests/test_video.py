@@ -8,14 +8,17 @@ import torch
 from league import times, video
 from league.errors import ReplayError
 from league.sim.camera.renderer import Painter
-from league.sim.camera.scene import BOX, BOX_COLOUR, CAR, CAR_COLOURS
-from league.sim.camera.scene_state import Thing
-from league.sim.camera.tables import Pose
+from league.sim.camera.scene import BOX, BOX_COLOUR, CAR, CAR_COLOURS, MODELS, lit
+from league.sim.camera.tables import THING_COLUMNS, Pose
 from league.video import hud
-from league.video.film import SHADOW_EDGE, SHADOW_KEPT, Film, shadow_of
-from league.video.mp4 import Coding, Mp4
+from league.video.film import SHADOW_EDGE, SHADOW_KEPT, Coding, Film, Mp4, shadow_of
 from league.video.pixels import mix
 from tests.recorded import by_hand, moved, raced
+
+
+def thing(model, *columns, colour):
+    """Return a row of SceneState.things, in colour."""
+    return np.array([MODELS.index(model), *columns, *lit(colour, gray=False)])
 
 
 def driving(frames: int = 8):
@@ -182,15 +185,16 @@ def test_torch_threads_are_left_alone():
 def test_floor_of_a_film_is_that_of_the_cameras_to_the_last_bit(time_s):
     made = Film(driving(3), (640, 360))
     pose = Pose(*made._replay.track.center[round(30 * time_s)], 0.56, 0.8, 0.6, 0.96, 0.28)
-    wanted = np.empty((1, 360, 640, 3), np.uint8)
-    Painter.paint(made._painter, wanted, pose, made._painter._floor, [])
-    assert len(np.unique(wanted[0, 200:])) > 20
-    np.testing.assert_array_equal(made._painter.picture(pose, []), wanted[0])
+    wanted, bare = np.empty((1, 1, 360, 640, 3), np.uint8), np.empty((0, THING_COLUMNS))
+    seen = np.zeros(1, np.int64), wanted, np.array([pose]), bare[None], made._painter._floor
+    Painter.paint(made._painter, *seen)
+    assert len(np.unique(wanted[0, 0, 200:])) > 20
+    np.testing.assert_array_equal(made._painter.picture(pose, bare), wanted[0, 0])
 
 
 def test_shadow_of_a_box_reaches_from_its_foot_along_the_light():
     # The sun stands at (0.5, -0.1, 0.9): 0.9 m of height throw 0.5 m towards -x, 0.1 m towards +y.
-    outline = shadow_of(Thing(BOX, 2.0, 1.0, 0.0, 1.0, 0.0, BOX_COLOUR, (0.4, 0.2, 0.9)))
+    outline = shadow_of(thing(BOX, 2.0, 1.0, 0.0, 1.0, 0.0, 0.4, 0.2, 0.9, colour=BOX_COLOUR))
     # Turned by 90 deg it lies along y: x from 1.9 to 2.1, y from 0.8 to 1.2.
     inside = [(2.09, 0.81), (2.09, 1.19), (1.41, 1.29), (1.41, 0.91)]
     outside = [(2.11, 1.0), (2.0, 0.79), (1.39, 1.1), (1.5, 1.31), (1.5, 0.82)]
@@ -203,8 +207,8 @@ def test_cars_darken_the_floor_in_their_shadow_and_nowhere_else():
     film = Film(driving(3), (640, 360))
     painter = film._painter
     pose = Pose(3.0, 0.7, 0.56, 1.0, 0.0, np.cos(0.27), np.sin(0.27))
-    car = Thing(CAR, 4.4, 0.7, 1.0, 0.0, 0.0, CAR_COLOURS[0], (1.0, 1.0, 1.0))
-    bare, shaded = painter.picture(pose, []), painter.picture(pose, [car])
+    car = thing(CAR, 4.4, 0.7, 1.0, 0.0, 0.0, 1.0, 1.0, 1.0, colour=CAR_COLOURS[0])
+    bare, shaded = (painter.picture(pose, np.stack([car])[start:]) for start in (1, 0))
     # Where each pixel's ray meets the floor, and how far outside the shadow that is.
     lens, v, u = painter._lens, *np.mgrid[0:360, 0:640]
     across, down = (u - lens.cx) / lens.focal, (v - lens.cy) / lens.focal

@@ -1,13 +1,10 @@
 """A policy as a file: its card, which says what it needs and where it is from, and its weights."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
 import os
 import re
-import stat
 import struct
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
@@ -63,51 +60,37 @@ Count = Annotated[int, Field(ge=0, lt=2**63)]
 class RewardCard(FrozenModel):
     """The reward a policy was trained with."""
 
-    name: Label
-    """Name of a built-in reward, or of the user's file."""
-    sha256: Digest | Literal[""] = ""
-    """Of the user's file; empty for built-in rewards."""
+    name: Label  # name of a built-in reward, or of the user's file
+    sha256: Digest | Literal[""] = ""  # of the user's file; empty for built-in rewards
 
 
 class Card(FrozenModel):
     """Everything about a checkpoint but its weights."""
 
-    format: Literal[1] = FORMAT
-    """Version of the checkpoint format."""
-    name: Label
-    """What a person calls the policy."""
-    sensors: Annotated[SensorConfig, AfterValidator(_reasonable)]
-    """What its car carries."""
-    action_space: ContinuousActions | DiscreteActions = ContinuousActions()
-    """What its outputs mean."""
-    network: NetworkConfig = NetworkConfig()
-    """Its layers."""
-    tracks: Annotated[tuple[Label, ...], Field(max_length=256)] = ()
-    """Tracks it was trained on."""
-    kind: RaceKind = "time_trial"
-    """Kind of race it was trained for."""
-    reward: RewardCard | None = None
-    """The reward it was trained with; None: unknown."""
-    steps: Count = 0
-    """Decisions it learnt from, those of its parents not counted."""
-    train_s: Annotated[float, Field(ge=0, le=1e9)] = 0.0
-    """Time spent on training it [s]."""
-    seed: Count = 0
-    """Seed of the training."""
+    format: Literal[1] = FORMAT  # version of the checkpoint format
+    name: Label  # what a person calls the policy
+    sensors: Annotated[SensorConfig, AfterValidator(_reasonable)]  # what its car carries
+    action_space: ContinuousActions | DiscreteActions = ContinuousActions()  # what its outputs mean
+    network: NetworkConfig = NetworkConfig()  # its layers
+    tracks: Annotated[tuple[Label, ...], Field(max_length=256)] = ()  # tracks it was trained on
+    kind: RaceKind = "time_trial"  # kind of race it was trained for
+    reward: RewardCard | None = None  # the reward it was trained with; None: unknown
+    steps: Count = 0  # decisions it learnt from, those of its parents not counted
+    train_s: Annotated[float, Field(ge=0, le=1e9)] = 0.0  # time spent on training it [s]
+    seed: Count = 0  # seed of the training
+    # digests of the checkpoints it was trained from
     parents: Annotated[tuple[Digest, ...], Field(max_length=64)] = ()
-    """Digests of the checkpoints it was trained from."""
-    licence: Label = "CC-BY-4.0"
-    """Under which the weights may be used; an SPDX name."""
+    licence: Label = "CC-BY-4.0"  # under which the weights may be used; an SPDX name
+    # day it was made, UTC
     created: Annotated[str, Field(pattern=r"^\d{4}-\d\d-\d\d$")] = Field(
         default_factory=lambda: datetime.now(tz=UTC).date().isoformat()
     )
-    """Day it was made, UTC."""
+    # version of the league that made it
     league_version: Annotated[str, Field(max_length=40), AfterValidator(printable)] = ""
-    """Version of the league that made it."""
+    # figures of its last evaluation, by name; None: there was none
     results: dict[Label, float | None] = Field(default_factory=dict, max_length=64)
-    """Figures of its last evaluation, by name; None: there was none."""
+    # the command line that made it
     command: Annotated[str, Field(max_length=2000), AfterValidator(printable)] = ""
-    """The command line that made it."""
 
     @property
     def group_shapes(self) -> dict[str, tuple[int, ...]]:
@@ -120,15 +103,11 @@ class Card(FrozenModel):
         return weight_shapes(self.network, self.group_shapes, self.action_space.size)
 
 
-MAX_SIZE = 8 << 20
-"""Bytes of a file without a camera."""
-MAX_SIZE_CAMERA = 16 << 20
-"""Bytes of a file with a camera."""
-MAX_CARD = 64 << 10
-"""Bytes of a card's text."""
+MAX_SIZE = 8 << 20  # bytes of a file without a camera
+MAX_SIZE_CAMERA = 16 << 20  # bytes of a file with a camera
+MAX_CARD = 64 << 10  # bytes of a card's text
 MAX_TENSORS = 64
-MAX_WEIGHT = 1e4
-"""Largest weight, to either side."""
+MAX_WEIGHT = 1e4  # largest weight, to either side
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,12 +117,10 @@ class Checkpoint:
     Names, shapes, dtypes and numbers have been checked.
     """
 
-    card: Card
-    """What it is."""
-    weights: Mapping[str, np.ndarray]
-    """Weights by name, float32."""
+    card: Card  # what it is
+    weights: Mapping[str, np.ndarray]  # weights by name, float32
+    # the card as JSON with sorted keys; made of the card unless it was read from a file
     text: str = field(default="")
-    """The card as JSON with sorted keys; made of the card unless it was read from a file."""
 
     def __post_init__(self) -> None:
         with refusing(
@@ -172,11 +149,7 @@ class Checkpoint:
 
 
 def save(path: str | os.PathLike[str], checkpoint: Checkpoint) -> None:
-    """Write a checkpoint, whole or not at all; the same content gives the same bytes.
-
-    Raises:
-        PolicyError: the file cannot be written, or would be too large.
-    """
+    """Write a checkpoint, always to the same bytes; PolicyError if it cannot be or is too large."""
     import torch
 
     # Copies, so that each tensor's storage holds its own numbers and no others.
@@ -197,11 +170,7 @@ def save(path: str | os.PathLike[str], checkpoint: Checkpoint) -> None:
 
 
 def load(path: str | os.PathLike[str]) -> Checkpoint:
-    """Read a checkpoint from a stranger: nothing in it is executed, and all of it is checked.
-
-    Raises:
-        PolicyError: it is no checkpoint, or not a sound one.
-    """
+    """Read a stranger's checkpoint: all is checked, nothing executed; PolicyError if not sound."""
     name = repr(os.fspath(path))
     what = name if len(name) <= 200 else f"{name[:60]}...{name[-137:]}"
     with refusing(what, "give a .pt file as `league train` writes it"):
@@ -209,20 +178,13 @@ def load(path: str | os.PathLike[str]) -> Checkpoint:
 
 
 def digest(checkpoint: str | os.PathLike[str] | Checkpoint) -> str:
-    """Return the SHA-256 of a checkpoint's content, which names it in a league.
-
-    Raises:
-        PolicyError: the file is not a sound checkpoint.
-    """
+    """Return the SHA-256 that names a checkpoint in a league; PolicyError if it is not sound."""
     return (checkpoint if isinstance(checkpoint, Checkpoint) else load(checkpoint)).digest
 
 
 @contextmanager
 def refusing(what: str, advice: str) -> Generator[None]:
-    """Turn a RefusedError into the PolicyError of a file or checkpoint.
-
-    `what` is refused, and `advice` says what to give instead.
-    """
+    """Turn a RefusedError into a PolicyError: `what` is refused, `advice` says what to give."""
     try:
         yield
     except RefusedError as refusal:
@@ -231,14 +193,11 @@ def refusing(what: str, advice: str) -> Generator[None]:
 
 def _content(path: Path) -> bytes:
     """Return the bytes of a file that is a plain one and not too large."""
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise RefusedError("it is no file, but a folder or a device")
     try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise RefusedError("it is no file, but a folder or a device")
         with path.open("rb") as file:
-            content = file.read(min(status.st_size, MAX_SIZE_CAMERA) + 1)
-    except RefusedError:
-        raise
+            content = file.read(MAX_SIZE_CAMERA + 1)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise RefusedError(f"it cannot be read ({reason})") from error
@@ -267,11 +226,7 @@ def _parsed(content: bytes) -> Checkpoint:
 
 
 def check_shapes(card: Card, shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Refuse weights with other names or shapes than the card's network has.
-
-    Raises:
-        RefusedError: they are not, or the network cannot be built.
-    """
+    """Refuse weights of other names or shapes than the card's network has, by RefusedError."""
     try:
         expected = card.weight_shapes
     except ConfigError as error:
@@ -294,11 +249,7 @@ def check_shapes(card: Card, shapes: Mapping[str, tuple[int, ...]]) -> None:
 
 
 def check_weights(card: Card, weights: Mapping[str, np.ndarray]) -> None:
-    """Refuse weights of other names, shapes or dtypes, with NaN, infinity or huge numbers.
-
-    Raises:
-        RefusedError: they are not sound.
-    """
+    """Refuse other names, shapes, dtypes, NaN and huge numbers, by RefusedError."""
     check_shapes(card, {name: tuple(weight.shape) for name, weight in weights.items()})
     for name, weight in weights.items():
         is_float32 = type(weight) is np.ndarray and weight.dtype == np.float32
@@ -311,12 +262,7 @@ def check_weights(card: Card, weights: Mapping[str, np.ndarray]) -> None:
 
 
 def read_card(text: str, size: int) -> tuple[Card, str]:
-    """Return the card of a stranger's file of so many bytes, and its text with sorted keys.
-
-    Raises:
-        RefusedError: it is no card, or one that this version does not read, or the file is too
-            large for its sensors.
-    """
+    """Return a card and its text with sorted keys; RefusedError if it, or `size`, is not sound."""
     card, canonical = _card(text)
     if size > _limit(card):
         raise RefusedError(f"it takes {size} bytes, at most {_limit(card)} without a camera")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -82,16 +81,12 @@ def from_modules(
     if linear:
         linear, dense = _passing(linear, dense, vector, activations[0])
     dense = linear + dense
-    network = NetworkConfig(
-        hidden=tuple(len(bias) for _, bias in dense[:-1]), activation=activations[0]
-    )
+    windows: dict[str, Any] = {}
     if kernels:
-        network = replace(
-            network,
-            channels=tuple(len(weight) for weight in kernels),
-            kernels=tuple(weight.shape[2] for weight in kernels),
-            strides=seen,
-        )
+        sides = tuple(weight.shape[2] for weight in kernels)
+        windows = {"channels": tuple(map(len, kernels)), "kernels": sides, "strides": seen}
+    hidden = tuple(len(bias) for _, bias in dense[:-1])
+    network = NetworkConfig(**windows, hidden=hidden, activation=activations[0])
     weights: dict[str, np.ndarray] = {}
     for prefix, layers in (("cnns.stereo", convolutions[: len(kernels)]), ("mlp", dense)):
         for number, (weight, bias) in enumerate(layers):
@@ -105,11 +100,7 @@ def from_sb3(model: Any, *, name: str, sensors: make.Carried, **card: Any) -> Ch
     """Return the checkpoint of a Stable-Baselines3 model with a MultiInputPolicy: PPO or A2C.
 
     With a camera it must be trained with `policy_kwargs={"activation_fn": torch.nn.ReLU}`, because
-    SB3's convolutions use ReLU. The other arguments are those of `from_modules`.
-
-    Raises:
-        PolicyError: another policy, or layers that no checkpoint can hold.
-        ConfigError: there is no such sensor, or the network is too large.
+    SB3's convolutions use ReLU. The other arguments, and errors, are those of `from_modules`.
     """
     from torch import nn
 
@@ -136,12 +127,9 @@ def from_sb3(model: Any, *, name: str, sensors: make.Carried, **card: Any) -> Ch
 def _layers(
     modules: Iterable[nn.Module], activations: list[Activation], *, ends: bool = False
 ) -> tuple[list[Layer], tuple[int, ...]]:
-    """Return weight and bias of each layer and the convolutions' strides; note the activations.
+    """Return weight and bias of each layer and the convolutions' strides.
 
-    Args:
-        modules: in the order in which they work.
-        activations: to which those that are met are added.
-        ends: whether no activation follows the last layer.
+    Activations that are met are added to `activations`; none follows the last layer if it `ends`.
     """
     layers: list[Layer] = []
     strides: list[int] = []

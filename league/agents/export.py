@@ -21,10 +21,8 @@ from league.sim.config import CameraConfig, SimConfig
 if TYPE_CHECKING:
     from onnx import ModelProto, NodeProto
 
-OPSET = 20
-"""The first that knows every activation."""
-IR_VERSION = 9
-"""The format that goes with that opset, for runtimes since 2024."""
+OPSET = 20  # the first that knows every activation
+IR_VERSION = 9  # the format that goes with that opset, for runtimes since 2024
 
 LUMA = "0.299 R + 0.587 G + 0.114 B (Rec. 601)"
 """How a camera's colours become the gray of its pictures, as league/sim/camera does it."""
@@ -73,18 +71,13 @@ def _model(checkpoint: Checkpoint) -> ModelProto:
             graph.constant(name, weight)
     outputs = graph.actor(card, checkpoint)
     graph.actions(card, outputs)
-    inputs = [
-        helper.make_tensor_value_info(
-            name, TensorProto.UINT8 if len(shape) == 3 else TensorProto.FLOAT, ["rows", *shape]
-        )
-        for name, shape in card.group_shapes.items()
-    ]
-    answers = [
-        helper.make_tensor_value_info("actions", TensorProto.FLOAT, ["rows", 2]),
-        helper.make_tensor_value_info(
-            "outputs", TensorProto.FLOAT, ["rows", card.action_space.size]
-        ),
-    ]
+
+    def port(name: str, *shape: int) -> Any:  # noqa: ANN401
+        kind = TensorProto.UINT8 if len(shape) == 3 else TensorProto.FLOAT
+        return helper.make_tensor_value_info(name, kind, ["rows", *shape])
+
+    inputs = [port(name, *shape) for name, shape in card.group_shapes.items()]
+    answers = [port("actions", 2), port("outputs", card.action_space.size)]
     made = helper.make_graph(graph.nodes, "actor", inputs, answers, graph.constants)
     model = helper.make_model(
         made,

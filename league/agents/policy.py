@@ -6,9 +6,6 @@ sum, so a decision has the same bits alone and in a batch, and on processors wit
 units.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -17,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from league.agents.network import NORMALISER_EPS, NetworkConfig, Shapes
+from league.agents.network import NORMALISER_EPS, NetworkConfig, Shapes, convolutions
 from league.envs.actions import to_actions
 from league.errors import PolicyError
 from league.jit import compiled, inner
@@ -61,21 +58,14 @@ _ZERO, _HALF, _ONE, _TWO, _WHITE = f32(0.0), f32(0.5), f32(1.0), f32(2.0), f32(2
 class Network:
     """A network's layers and weights as tables; picture first, then fully connected."""
 
-    layers: np.ndarray
-    """LAYER records, the convolutions first."""
-    weights: np.ndarray
-    """Of all layers, inputs by outputs, each followed by its biases, float32."""
-    mean: np.ndarray
-    """Of the flat groups, in the order of the network, float32 (num_flat,)."""
-    deviation: np.ndarray
-    """Of the same, never 0."""
+    layers: np.ndarray  # LAYER records, the convolutions first
+    weights: np.ndarray  # of all layers, inputs by outputs, each followed by its biases, float32
+    mean: np.ndarray  # of the flat groups, in the order of the network, float32 (num_flat,)
+    deviation: np.ndarray  # of the same, never 0
 
     @classmethod
     def of(cls, cfg: NetworkConfig, shapes: Shapes, weights: Mapping[str, np.ndarray]) -> Network:
-        """Put weights, float32 by the names of `network.weight_shapes`, into tables.
-
-        `shapes` are those of one row of each group.
-        """
+        """Put weights by the names of `network.weight_shapes` into tables; shapes are of a row."""
         activation = _ACTIVATIONS.index(cfg.activation)
         flat = sum(shape[0] for shape in shapes.values() if len(shape) == 1)
         layers: list[tuple[int, ...]] = []
@@ -89,21 +79,12 @@ class Network:
             first += table.size + bias.size
 
         pixels = None
-        for group, shape in shapes.items():
-            if len(shape) != 3:
-                continue
-            channels, height, width = shape
-            for number, (made, kernel, stride) in enumerate(
-                zip(cfg.channels, cfg.kernels, cfg.strides, strict=True)
-            ):
-                name = f"cnns.{group}.{2 * number}"
-                # Window lines, columns, channels in, channels out: the order of the loops.
-                table = weights[f"{name}.weight"].transpose(2, 3, 1, 0)
-                sizes = (channels, made, kernel, stride, height, width)
-                add(_CONVOLUTION, False, table, weights[f"{name}.bias"], *sizes)
-                height, width = (height - kernel) // stride + 1, (width - kernel) // stride + 1
-                channels = made
-            pixels = (channels, height, width)
+        for one in convolutions(cfg, shapes):
+            # Window lines, columns, channels in, channels out: the order of the loops.
+            table = weights[f"{one.name}.weight"].transpose(2, 3, 1, 0)
+            sizes = (one.channels, one.made, one.kernel, one.stride, *one.size)
+            add(_CONVOLUTION, False, table, weights[f"{one.name}.bias"], *sizes)
+            pixels = (one.made, *one.out)
         sizes_out = [weights[f"mlp.{2 * k}.bias"].size for k in range(len(cfg.hidden) + 1)]
         for number, size in enumerate(sizes_out):
             table = weights[f"mlp.{2 * number}.weight"]
@@ -296,11 +277,7 @@ class Policy:
         """Do nothing: there is no memory to lose."""
 
     def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return actions [steering, speed] in [-1, 1], float32 (num_rows, 2).
-
-        Raises:
-            PolicyError: a group it needs is missing or has another shape.
-        """
+        """Return actions in [-1, 1], float32 (num_rows, 2); PolicyError if a group does not fit."""
         return to_actions(self._space, self.outputs(observations), self._car)
 
     def outputs(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:

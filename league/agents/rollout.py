@@ -1,7 +1,5 @@
 """Rollout: drivers in an environment, step by step; races and evaluations are made of it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from time import thread_time
@@ -13,8 +11,7 @@ from league.envs import actions
 from league.envs.race_env import Observations, RaceEnv, Step
 from league.errors import ActionError
 
-Seat = tuple[int, int]
-"""A world and a car in it."""
+Seat = tuple[int, int]  # a world and a car in it
 
 
 class DriverPool:
@@ -113,13 +110,7 @@ class Rollout:
         restart: np.ndarray | None = None,
         seeds: Sequence[int] | None = None,
     ) -> Step:
-        """Drive one control step.
-
-        Args:
-            readings: see `DriverPool.act`.
-            restart: worlds that are started again at the end of the step, bool (num_worlds,).
-            seeds: of the worlds that are started again; those of others are not read.
-        """
+        """Drive one control step; see `DriverPool.act` and `RaceEnv.step` for the arguments."""
         driven = self.drivers.act(self.env.observations, readings)
         faults = np.isnan(driven[..., 0])
         if self._on_faults is not None:

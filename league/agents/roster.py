@@ -1,7 +1,5 @@
 """Drivers by name or path: scripted ones, the policies that ship (the garage), checkpoints."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from league.agents.driver import Driver
@@ -58,17 +56,10 @@ def garage() -> dict[str, Path]:
 
 
 def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
-    """Build a driver for the tracks that its rows race on.
+    """Build a driver for the tracks that its rows race on, one alone for a scripted driver.
 
-    Args:
-        name_or_path: name of a scripted driver or of a policy in the garage, or a checkpoint,
-            which ends in .pt.
-        tracks: the set, which must hold one track for a scripted driver.
-        car: the car it will drive.
-
-    Raises:
-        PolicyError: the name is unknown, the checkpoint not sound, or the driver cannot drive
-            this set.
+    It is the name of a scripted driver or of a policy in the garage, or a checkpoint, which ends in
+    .pt. PolicyError: the name is unknown, the checkpoint not sound, or there are several tracks.
     """
     if path := _file(name_or_path):
         from league.agents import checkpoint
@@ -84,11 +75,7 @@ def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
 
 
 def check(name_or_path: str) -> None:
-    """Check that there is such a driver, without building it.
-
-    Raises:
-        PolicyError: the name is unknown, or the checkpoint not sound.
-    """
+    """Check that there is such a driver, without building it; PolicyError if there is none."""
     if path := _file(name_or_path):
         from league.agents import checkpoint
 
@@ -96,11 +83,7 @@ def check(name_or_path: str) -> None:
 
 
 def checkpoint_path(name_or_path: str) -> str:
-    """Return the file of a policy: the one named, or the garage's of that name.
-
-    Raises:
-        PolicyError: the name is unknown, or a scripted driver's.
-    """
+    """Return the file of a policy, the garage's too; PolicyError if it has none."""
     path = _file(name_or_path)
     if path is None:
         raise PolicyError(

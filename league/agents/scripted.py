@@ -5,11 +5,8 @@ are in the way; steer for the path through the targets; ask for the speed that i
 is in the way allow.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
+# Records have the attributes of their fields.
 # pyright: reportAttributeAccessIssue=false
-
-from __future__ import annotations
 
 import math
 from collections.abc import Mapping
@@ -32,8 +29,7 @@ from league.agents.steering import (
     steering_target,
     table,
 )
-from league.agents.traffic import STATE, THING, cover, gather, go_round, largest_speed
-from league.envs.state import NEAR_OBSTACLES, NEIGHBOURS
+from league.envs.state import FIELDS, INDEX, LOOKAHEADS, NEAR_OBSTACLES, NEIGHBOURS
 from league.jit import compiled, inner
 from league.portable_math import atan, clamp, f32
 from league.racing_line.racing_line import center_line, optimal_line
@@ -47,36 +43,24 @@ from league.track.track import Track, TrackSet
 class Style:
     """What makes one line follower differ from another."""
 
-    on_centerline: bool = False
-    """Whether its line is the centreline, not the fastest one."""
-    pace: float = 1.0
-    """Part of the line's speed that is driven."""
-    top_speed: float = 99.0
-    """Largest speed [m/s]."""
-    grip: float = 0.93
-    """Part of the tyres' grip that is used on the line and off it."""
-    reserve: float = 0.5
-    """Part of that grip kept in hand while driving off the line."""
-    margin: float = 0.03
-    """Smallest distance from the fastest line to a border [m]."""
-    clearance: float = 0.06
-    """Air left between two bodies side by side [m]."""
+    on_centerline: bool = False  # whether its line is the centreline, not the fastest one
+    pace: float = 1.0  # part of the line's speed that is driven
+    top_speed: float = 99.0  # largest speed [m/s]
+    grip: float = 0.93  # part of the tyres' grip that is used on the line and off it
+    reserve: float = 0.5  # part of that grip kept in hand while driving off the line
+    margin: float = 0.03  # smallest distance from the fastest line to a border [m]
+    clearance: float = 0.06  # air left between two bodies side by side [m]
+    # smallest distance from the base to a border while going round something [m]
     edge: float = 0.03
-    """Smallest distance from the base to a border while going round something [m]."""
+    # driving distance over which a car moves aside before a standing thing [m]
     approach: float = 2.6
-    """Driving distance over which a car moves aside before a standing thing [m]."""
-    lead: float = 0.3
-    """Driving distance over which it then stays aside before coming up to it [m]."""
-    braking: float = 3.0
-    """Deceleration counted on when something is in the way [m/s^2]."""
-    gap: float = 0.1
-    """Air left when stuck behind something [m]."""
+    lead: float = 0.3  # driving distance over which it then stays aside before coming up to it [m]
+    braking: float = 3.0  # deceleration counted on when something is in the way [m/s^2]
+    gap: float = 0.1  # air left when stuck behind something [m]
+    # whether it takes the side with more room, instead of the shorter way from the line
     freer_side: bool = False
-    """Whether it takes the side with more room, instead of the shorter way from the line."""
-    waits: bool = False
-    """Whether it stays behind other cars; it goes round boxes alone."""
-    blocks: bool = False
-    """Whether it moves in front of the car behind."""
+    waits: bool = False  # whether it stays behind other cars; it goes round boxes alone
+    blocks: bool = False  # whether it moves in front of the car behind
 
 
 _STYLE = np.dtype([(one.name, np.float64) for one in fields(Style)])
@@ -88,6 +72,33 @@ _GROW, _FADE = 0.5, 0.35  # of the path away from the line, for each metre ahead
 _BRAKING = 0.8  # part of the brakes that is counted on
 _MOST_CORNERING = math.sqrt(0.95)  # part of the grip; a twentieth of its square is left to drive
 _SERVO = 0.6  # part of a speed error that the servo makes good within a control step
+
+_RIVAL = np.dtype([(name, np.float64) for name in ("present", "gap", "lateral", "speed", "frozen")])
+_BOX = np.dtype([(name, np.float64) for name in ("present", "gap", "lateral")])
+_STATE = np.dtype(
+    [
+        *((name, np.float64) for name in FIELDS[: INDEX["progress"] + 1]),
+        ("curvature", np.float64, len(LOOKAHEADS)),
+        ("cars", _RIVAL, NEIGHBOURS),
+        ("obstacles", _BOX, NEAR_OBSTACLES),
+    ]
+)
+"""A row of the `state` group; league/envs/state.py has the meaning."""
+_THING = np.dtype(
+    [(name, np.float64) for name in ("gap", "lateral", "speed", "closing", "reach", "width", "box")]
+)
+"""A car or a box: distance ahead [m], place left of the centreline [m] and speed [m/s] along the
+track, the share of its distance that is closed while the car drives there, the distances along and
+across the track within which bodies may touch [m], and whether it is a box."""
+
+_CAR_REACH, _BOX_REACH = 0.40, 0.42
+_CAR_WIDTH, _BOX_WIDTH = 0.196, 0.248
+_CORNERS = 0.035  # half of the squared half lengths of a car and a box, together [m^2]
+_LEAVE = 0.7  # driving distance over which a car comes back behind a body [m]
+_SHARE = 0.5  # part of the room left beyond the clearance that is also kept
+_MOST_ROOM = 0.4  # more room than this next to a body counts no more [m]
+_SLOWEST = 1.0  # a car that stands is planned for as if it drove so [m/s]
+_FREE = 99.0
 
 
 @lru_cache(maxsize=8)
@@ -124,19 +135,19 @@ class LineDriver:
 
     def drive(self, state: np.ndarray, pace: np.ndarray | float) -> np.ndarray:
         """Return actions from the `state` group, at a part of the own pace, one or for each row."""
-        rows = np.ascontiguousarray(state, np.float64).view(STATE)[:, 0]
+        rows = np.ascontiguousarray(state, np.float64).view(_STATE)[:, 0]
         paces = np.full(len(rows), pace, np.float64)
         if len(self._memory) != len(rows):
             self._memory = np.zeros(len(rows), _MEMORY)
         controls = np.empty((2, len(rows)))
         _drive(rows, paces, self._memory, controls, *self._settings)
-        return actions_from(*controls, self._car)
+        return actions_from(controls[0], controls[1], self._car)
 
 
 @compiled(allocates=True)
 def _drive(states, paces, memories, controls, line, points, courses, gains, cars, styles):
     """Write the steering targets [rad] and speeds to ask for [m/s] of all rows, (2, num_rows)."""
-    road, things = np.empty(NODES, NODE), np.empty(NEIGHBOURS + NEAR_OBSTACLES, THING)
+    road, things = np.empty(NODES, NODE), np.empty(NEIGHBOURS + NEAR_OBSTACLES, _THING)
     car, style = cars[0], styles[0]
     for row in range(len(states)):
         state, memory = states[row], memories[row]
@@ -164,13 +175,13 @@ def _drive(states, paces, memories, controls, line, points, courses, gains, cars
 @inner
 def _targets(state, things, road, style):
     """Write where to drive; return the largest speed because of others [m/s]."""
-    things = things[: gather(state, things)]
+    things = things[: _gather(state, things)]
     for node in road:
         node.target = node.lateral
     if style.blocks:
-        cover(state, road)
-    go_round(state.lateral, things, road, style)
-    return min(largest_speed(state.lateral, things, road, style), style.top_speed)
+        _cover(state, road)
+    _go_round(state.lateral, things, road, style)
+    return min(_largest_speed(state.lateral, things, road, style), style.top_speed)
 
 
 @inner
@@ -206,14 +217,119 @@ def _speed(speed, road, limit, pace, car, style):
         node.speed = math.sqrt(squared)
     target = min(at(road.speed, speed * (STEP_DT + car.latency_s)), limit)
     # Drive and brakes take grip that a bend needs: leave it its share.
-    spare = _spare(speed * speed * max(abs(road[0].bend), abs(road[1].bend)), car)
+    cornering, most = speed * speed * max(abs(road[0].bend), abs(road[1].bend)), car.grip * GRAVITY
+    transfer = 2.0 * car.mass_height / car.wheelbase / GRAVITY
+    spare = spare_grip(min(cornering, _MOST_CORNERING * most), most, transfer)
     faster = speed + min(spare, car.max_acceleration) * STEP_DT
     slower = speed - min(spare, car.max_braking) * STEP_DT
     return speed + (clamp(target, slower, faster) - speed) / _SERVO
 
 
+# Getting past others -------------------------------------------------------------------------
+
+
 @inner
-def _spare(cornering, car):
-    """Return the drive or braking that tyres can give while cornering [m/s^2], never nothing."""
-    most, transfer = car.grip * GRAVITY, 2.0 * car.mass_height / car.wheelbase / GRAVITY
-    return spare_grip(min(cornering, _MOST_CORNERING * most), most, transfer)
+def _gather(state, things):
+    """Write the cars (no ghosts) and boxes near a car, nearest first; return how many."""
+    own, count = max(state.speed_ahead, _SLOWEST), 0
+    for car in state.cars:
+        if car.present and not car.frozen:
+            speed = max(car.speed, 0.0)
+            thing = things[count]
+            thing.gap, thing.lateral, thing.speed, thing.box = car.gap, car.lateral, speed, 0.0
+            thing.reach, thing.width = _CAR_REACH, _CAR_WIDTH
+            thing.closing = max(1.0 - speed / own, 0.08)
+            count += 1
+    for box in state.obstacles:
+        if box.present:
+            thing = things[count]
+            thing.gap, thing.lateral, thing.speed, thing.box = box.gap, box.lateral, 0.0, 1.0
+            thing.reach, thing.width, thing.closing = _BOX_REACH, _BOX_WIDTH, 1.0
+            count += 1
+    return count
+
+
+@inner
+def _cover(state, road):
+    """Aim in front of the nearest free car behind, if it is near."""
+    for car in state.cars:
+        # Full weight from half a metre to a metre and a half behind, fading out at two and a half.
+        weight = clamp(2.5 + car.gap, 0.0, 1.0) * clamp((-0.4 - car.gap) / 0.2, 0.0, 1.0)
+        if car.present and not car.frozen and weight > 0.0:
+            for node in road:
+                place = clamp(car.lateral, 0.1 - node.right, node.left - 0.1)
+                node.target += (place - node.target) * weight
+            return
+
+
+@inner(allocates=True)
+def _go_round(lateral, things, road, style):
+    """Move the targets aside where another body will be.
+
+    A moving body is met where both will be: at distance d it is `gap - d (1 - its speed / own)`
+    ahead, so that a car of nearly the own speed is passed over a long stretch.
+    """
+    wished = road.target.copy()
+    # Far ones first, so that the nearest has the last word.
+    for thing in things[::-1]:
+        if style.waits and not thing.box:
+            continue
+        meeting = max(thing.gap / thing.closing, 0.0)
+        planned = at(wished, meeting)
+        # Within reach the side is the one the car is on.
+        if thing.gap < 1.2:
+            planned = lateral
+        apart = thing.width + style.clearance + _CORNERS * abs(at(road.curvature, meeting))
+        room_left = at(road.left, meeting) - style.edge - (thing.lateral + apart)
+        room_right = (thing.lateral - apart) + at(road.right, meeting) - style.edge
+        left = planned >= thing.lateral
+        if style.freer_side and thing.gap >= 0.8:
+            left = room_left >= room_right
+        if (room_left >= 0.0) != (room_right >= 0.0):
+            left = room_left >= 0.0
+        if abs(thing.gap) < thing.reach:
+            left = lateral >= thing.lateral
+        extra = _SHARE * clamp(room_left if left else room_right, 0.0, _MOST_ROOM)
+        for k in range(NODES):
+            # In a bend the corners of two long bodies stand out towards each other.
+            apart = thing.width + style.clearance + _CORNERS * abs(road[k].curvature) + extra
+            aside = max(wished[k], thing.lateral + apart)
+            if not left:
+                aside = min(wished[k], thing.lateral - apart)
+            road[k].target += (aside - road[k].target) * _weight(thing, road[k].ahead, style)
+    for node in road:
+        # The line itself may run nearer to a border.
+        node.target = max(node.target, min(style.edge - node.right, node.lateral))
+        node.target = min(node.target, max(node.left - style.edge, node.lateral))
+
+
+@inner
+def _weight(thing, ahead, style):
+    """Return how much a thing counts at a distance, from 0 to 1, smoothly."""
+    apart = thing.gap - ahead * thing.closing
+    if apart > 0.0:
+        outside = apart - thing.reach - style.lead * thing.closing
+        ramp = style.approach * thing.closing
+    else:  # the way back may be shorter than the way out
+        outside, ramp = -apart - thing.reach, _LEAVE * thing.closing
+    near = clamp(1.0 - max(outside, 0.0) / max(ramp, 0.25), 0.0, 1.0)
+    return near * near * (3.0 - 2.0 * near)
+
+
+@inner
+def _largest_speed(lateral, things, road, style):
+    """Return the speed from which the car can still stop closing in on what is in its way [m/s]."""
+    most = _FREE
+    for thing in things:
+        before = max(thing.gap - thing.reach, 0.0)
+        meeting = before / thing.closing
+        off_plan = (lateral - road[0].target) / (1.0 + meeting * meeting / 0.25)
+        apart = abs(at(road.target, meeting) + off_plan - thing.lateral)
+        if thing.gap > 0.1 and apart < thing.width + 0.02:
+            free = before - style.gap
+            if free > 0.0:
+                limit = math.sqrt(thing.speed * thing.speed + 2.0 * style.braking * free)
+            else:  # fall behind a little
+                limit = 0.7 * thing.speed
+            most = min(most, limit)
+    return most

@@ -8,12 +8,6 @@ steering is a gain on the state plus a gain on each coming step's curvature (M. 
 linear preview control", 1976).
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-# pyright: reportAttributeAccessIssue=false
-
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 
@@ -26,16 +20,11 @@ from league.sim.config import CarConfig
 from league.sim.settings import GRAVITY
 from league.track.projection import frame_at
 
-NODE_GAP = 0.2
-"""Distance between two nodes of the road ahead, along the line [m]."""
-NODES = 21
-"""Nodes of the road ahead, the first at the car."""
-STEP_DT = 1 / 15
-"""Length of a control step [s]."""
-STEPS = 14
-"""Control steps of curvature that are looked ahead."""
-SLOWEST, SPEED_STEP = 0.3, 0.1
-"""Speeds of the gain tables [m/s]: from SLOWEST on, SPEED_STEP apart."""
+NODE_GAP = 0.2  # distance between two nodes of the road ahead, along the line [m]
+NODES = 21  # nodes of the road ahead, the first at the car
+STEP_DT = 1 / 15  # length of a control step [s]
+STEPS = 14  # control steps of curvature that are looked ahead
+SLOWEST, SPEED_STEP = 0.3, 0.1  # speeds of the gain tables [m/s]: from SLOWEST on, SPEED_STEP apart
 
 _STIFFNESS_SHARE = 0.5  # tyres near their limit give less for more slip
 _LATERAL = 30.0  # price of the lateral error squared [1/m^2]
@@ -140,15 +129,10 @@ def slope(values):
 
 @inner
 def steering_target(gains, speed, errors, road, pace):
-    """Return the new steering target [rad].
+    """Return the new steering target [rad] at a speed ahead, and along the line, the pace [m/s].
 
-    Args:
-        gains: of the car.
-        speed: ahead [m/s].
-        errors: lateral [m], heading [rad], speed to the left [m/s], yaw rate [rad/s], last steering
-            target [rad].
-        road: NODE records with the bends of the path.
-        pace: speed counted along the line [m/s].
+    Errors are lateral [m], heading [rad], speed to the left [m/s], yaw rate [rad/s] and the last
+    steering target [rad]; the road has the bends of the path.
     """
     place = (speed - SLOWEST) / SPEED_STEP
     target = errors[4]

@@ -6,8 +6,6 @@ program: `read` knows the few opcodes of a dict of text and tensors, looks up no
 nothing; the standard library only splits the opcodes.
 """
 
-from __future__ import annotations
-
 import pickletools
 import re
 import struct
@@ -19,21 +17,16 @@ from typing import Any
 
 import numpy as np
 
-MAX_MEMBERS = 80
-"""64 tensors and what torch adds."""
-MAX_PHRASE = 300
-"""Characters of the reason for which a file is refused."""
-MAX_PICKLE = 1 << 20
-"""Bytes of the pickle."""
-MAX_OPCODES = 20_000
-"""64 tensors need about 3,000."""
+MAX_MEMBERS = 80  # 64 tensors and what torch adds
+MAX_PHRASE = 300  # characters of the reason for which a file is refused
+MAX_PICKLE = 1 << 20  # bytes of the pickle
+MAX_OPCODES = 20_000  # 64 tensors need about 3,000
 _CENTRAL = struct.Struct("<4s6H3I5H2I")
 _LOCAL = struct.Struct("<4s5H3I2H")
 _END = struct.Struct("<4s4H2IH")
 _END64 = struct.Struct("<4sQ2H2I4Q")
 _LOCATOR = struct.Struct("<4sIQI")
-_ALLOWED_FLAGS = 0x0808
-"""Sizes after the content, and names in UTF-8; no encryption."""
+_ALLOWED_FLAGS = 0x0808  # sizes after the content, and names in UTF-8; no encryption
 _NAME = re.compile(
     rb"([^/\\\x00-\x1f]{1,100})/(data\.pkl|version|byteorder|\.format_version|\.storage_alignment"
     rb"|\.data/serialization_id|data/[0-9]{1,4})"
@@ -56,12 +49,9 @@ class RefusedError(ValueError):
 class Tensor:
     """A tensor as the file describes it; no array has been made of it."""
 
-    member: str
-    """Number of the member under data/ that holds its numbers."""
-    count: int
-    """Numbers in that member."""
-    offset: int
-    """First number of the tensor in that member."""
+    member: str  # number of the member under data/ that holds its numbers
+    count: int  # numbers in that member
+    offset: int  # first number of the tensor in that member
     shape: tuple[int, ...]
     stride: tuple[int, ...]
 
@@ -70,8 +60,7 @@ class Tensor:
 class Archive:
     """A file of torch.save, its structure checked."""
 
-    content: object
-    """What was saved: dicts, tuples, texts, whole numbers and Tensor descriptions."""
+    content: object  # what was saved: dicts, tuples, texts, whole numbers and Tensor descriptions
     _members: dict[str, memoryview]
 
     def check_members(self, tensors: list[Tensor]) -> None:
@@ -100,11 +89,7 @@ class Archive:
 
 
 def read(content: bytes) -> Archive:
-    """Return the content of a file of torch.save.
-
-    Raises:
-        RefusedError: it is none, or holds more than plain data and tensors of float32.
-    """
+    """Return the content of a file of torch.save; RefusedError if it holds anything unexpected."""
     members = _members(content)
     if "data.pkl" not in members:
         raise RefusedError("it lacks its head, data.pkl")

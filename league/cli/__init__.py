@@ -33,12 +33,9 @@ def _answer(arguments: list[str]) -> int:
     except OSError as error:
         if error.filename is not None:
             raise
-        _discard_output()
+        # Nothing that is still held can be written, so it goes nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if isinstance(error, BrokenPipeError):
             return 0  # the reader of our output has closed it (`league ... | head`)
         print(f"league: the output cannot be written ({error.strerror})", file=sys.stderr)
         return 2
-
-
-def _discard_output() -> None:
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

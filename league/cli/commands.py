@@ -28,8 +28,8 @@ GROUPS = {
         "race": "race.Race",
         "train": "commands.Train",  # its settings take a while to import: see `_parsed`
         "evaluate": "evaluate.Evaluate",
-        "reward": "rewards.Rewards",
-        "drivers": "drivers.Drivers",
+        "reward": "evaluate.Rewards",
+        "drivers": "inventory.Drivers",
     },
     "Watch": {
         "replays": "replays.ListReplays",
@@ -37,7 +37,7 @@ GROUPS = {
         "video": "replays.Video",
         "verify": "replays.Verify",
     },
-    "Tracks": {"tracks": "tracks.Tracks"},
+    "Tracks": {"tracks": "inventory.Tracks"},
     "League": {
         "init": "season.entries.Init",
         "submit": "season.entries.Submit",
@@ -61,9 +61,9 @@ GROUPS = {
         "compare": "season.gauntlet.Compare",
         "serve": "season.run.Serve",
         "site": "season.run.Site",
-        "token": "season.tokens.ManageTokens",
+        "token": "season.entries.ManageTokens",
     },
-    "Tools": {"card": "drivers.ShowCard", "export": "drivers.Export"},
+    "Tools": {"card": "inventory.ShowCard", "export": "inventory.Export"},
 }
 """All commands in groups, in the order of the help: where their classes are in this package. Only
 the one that runs is imported."""
@@ -82,11 +82,7 @@ def command_class(name: str) -> type:
 
 
 def main(arguments: list[str]) -> int:
-    """Parse a command line and run it; return its exit code.
-
-    Raises:
-        LeagueError: it cannot be run.
-    """
+    """Parse a command line and run it; return its exit code."""
     # Imports make 100,000 objects that stay: a search for cycles among them every 700 takes an
     # eighth of the start. The one at exit takes a second with torch in memory.
     gc.set_threshold(50_000, 20, 50)
@@ -99,7 +95,8 @@ def main(arguments: list[str]) -> int:
         from league import precompile  # late: Numba takes a while
 
         precompile.ensure()
-    return command.run() or 0
+    # `tracks`, `reward` and `token` have commands of their own.
+    return getattr(command, "command", command).run() or 0
 
 
 def overview() -> str:

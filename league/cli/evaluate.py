@@ -1,10 +1,12 @@
-"""`league evaluate`: laps from the start line as the table of the original's console."""
+"""`league evaluate` and `league reward`: drivers on laps, and reward files on recorded drives."""
 
 from __future__ import annotations
 
 import json
+import re
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -16,21 +18,26 @@ from league.cli.race import (
     labels,
     num_obstacles,
     print_remark,
+    race_kind,
     race_spec,
     replay_line,
     replay_path,
 )
 from league.errors import ConfigError
-from league.sim.config import CarConfig, ObstacleConfig, RaceKind, SimConfig
+from league.sim.config import ObstacleConfig, RaceKind, SimConfig
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Sequence
 
+    from league.deepracer.check import DriveReport, Report
     from league.envs.actions import ActionSpace
     from league.envs.rewards import Reward
     from league.racing.table import Evaluation
     from league.racing.trace import Trace
     from league.track.track import TrackSet
+
+_PRINTED = 5
+"""Last lines of what a reward function printed that are shown."""
 
 
 @dataclass
@@ -76,9 +83,8 @@ class Evaluate:
     json: bool = False
     """Print JSON."""
 
-    def run(self) -> int:
-        """Run the command."""
-        from league.racing.trace import write_evaluation
+    def run(self) -> None:
+        from league.racing.trace import Trace, write_evaluation
 
         _check(self)
         evaluations = []
@@ -88,10 +94,8 @@ class Evaluate:
             if not self.json:
                 print_table(evaluation)
             if trace is not None and self.trace is not None:
-                if _is_folder(self.trace):
-                    path = write_evaluation(trace, self.trace)
-                else:
-                    path = trace.write(self.trace)
+                write = write_evaluation if _is_folder(self.trace) else Trace.write
+                path = write(trace, self.trace)
                 if not self.json:
                     print(f"Trace: {path}")
             if self.replay != "none":
@@ -99,7 +103,6 @@ class Evaluate:
         if self.json:
             data = [{**one.model_dump(mode="json"), "summary": one.summary} for one in evaluations]
             print(json.dumps(data if len(data) > 1 else data[0], indent=2))
-        return 0
 
 
 def _check(command: Evaluate) -> None:
@@ -145,13 +148,14 @@ def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
     from league.track.track import TrackSet
 
     course = files.load(track)
-    tracks, car = TrackSet(course), SimConfig().car
-    driver = roster.load(command.driver, tracks, car)
-    opponents = [roster.load(name, tracks, car) for name in command.opponents]
-    trace = None
+    tracks, sim = TrackSet(course), SimConfig()
+    driver = roster.load(command.driver, tracks, sim.car)
+    opponents = [roster.load(name, tracks, sim.car) for name in command.opponents]
+    trace = reward = None
     if command.trace is not None:
         space: ActionSpace | None = getattr(getattr(driver, "card", None), "action_space", None)
         trace = Trace(space, driver.sensors, started_s=time.time())
+        reward = partial(named, command.reward, tracks, sim, cars=(0,))
     done = evaluate(
         driver,
         course,
@@ -168,7 +172,7 @@ def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
             random_places=not command.fixed_obstacles,
         ),
         opponents=opponents,
-        reward=None if trace is None else _reward(command.reward, tracks, car),
+        reward=reward,
         watch=None if trace is None else trace.add,
     )
     return done.model_copy(update={"driver": labels([command.driver])[0]}), trace
@@ -179,27 +183,11 @@ def _num_obstacles(command: Evaluate) -> int:
 
 
 def _kind(command: Evaluate) -> RaceKind:
-    if command.opponents:
-        return "head_to_head"
-    if command.kind == "auto":
-        return "obstacle_avoidance" if _num_obstacles(command) else "time_trial"
-    return command.kind
+    return "head_to_head" if command.opponents else race_kind(command, 1)
 
 
 def _is_folder(path: Path) -> bool:
     return path.is_dir() or not path.suffix
-
-
-def _reward(name: str, tracks: TrackSet, car: CarConfig) -> Callable[[int], Reward]:
-    """Return what makes the reward of so many worlds, in which car 0 is paid."""
-    if name.endswith(".py"):
-        from league.deepracer import user_reward
-
-        return lambda num_worlds: user_reward(name, num_worlds, (0,))
-    from league.envs.rewards import built_in
-
-    paid = built_in(name, tracks, car)
-    return lambda num_worlds: paid
 
 
 def _keep_replay(command: Evaluate, track: str) -> None:
@@ -224,18 +212,11 @@ def print_table(done: Evaluation) -> None:
     """Print the console's table of trials and a line that sums it up."""
     title = f"{done.driver}: {done.kind.replace('_', ' ')} on {done.track}"
     heads = ["trial", "status", "time", "% done", "off", "crash", "penalty"]
-    rows = [
-        (
-            str(one.trial),
-            one.status.replace("_", " "),
-            times.clock(one.time_s),
-            f"{one.completion:.1f}",
-            str(one.off_tracks),
-            str(one.crashes),
-            f"{one.penalty_s:g} s" if one.penalty_s else "",
-        )
-        for one in done.trials
-    ]
+    rows = []
+    for one in done.trials:
+        ended = one.status.replace("_", " "), times.clock(one.time_s), f"{one.completion:.1f}"
+        penalty = f"{one.penalty_s:g} s" if one.penalty_s else ""
+        rows.append((one.trial, *ended, one.off_tracks, one.crashes, penalty))
     if not any(one.penalty_s for one in done.trials):
         heads, rows = heads[:-1], [row[:-1] for row in rows]
     tables.table(title, heads, rows, "trial", "crash", "off")
@@ -261,3 +242,168 @@ def summary(done: Evaluation) -> str:
         won = sum(place == 1 for place in done.places)
         parts.append(f"{won} of {len(done.places)} races won")
     return " · ".join(parts)
+
+
+@dataclass
+class CheckReward:
+    """Try a DeepRacer reward file on recorded drives of every kind of race."""
+
+    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE.py")]
+    """The Python file that defines reward_function(params); it is your own program, and is run."""
+    kind: RaceKind | None = None
+    """Kind of race that it is written for; by default it is tried in every kind, and may need
+    objects."""
+    json: bool = False
+    """Print JSON."""
+
+    def run(self) -> int:
+        """Run the command; 1 if the function fails anywhere."""
+        from league.deepracer import check
+
+        report = check.check(self.file, kind=self.kind)
+        if self.json:
+            print(json.dumps(_as_json(report), indent=2))
+        else:
+            _print_report(report)
+        return 1 if report.failures else 0
+
+
+@dataclass
+class ScoreReplay:
+    """Score a recorded race with another reward function, and plot it with a second one."""
+
+    replay: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="REPLAY")]
+    """The replay file."""
+    reward: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="REWARD")]
+    """A reward file (FILE.py), or centerline, progress, race or racing_line."""
+    against: str = "progress"
+    """The second one: another reward file, or a built-in reward."""
+    out: Path | None = None
+    """Where to write the picture; by default next to the replay, with the ending .reward.png."""
+    json: bool = False
+    """Print JSON."""
+
+    def run(self) -> None:
+        from league import replay as replays
+        from league.deepracer import rescore
+
+        race = replays.read(self.replay)
+        scores = []
+        for name in (self.reward, self.against):
+            reward = named(name, race.tracks, race.sim, 1, range(race.num_cars))
+            shown = Path(name).name if name.endswith(".py") else f"{name} (built in)"
+            scores.append(rescore.score(race, reward, shown))
+        path = self.out or self.replay.with_suffix(".reward.png")
+        rescore.draw(race, scores, path)
+        if self.json:
+            documents = []
+            for one in scores:
+                totals = [
+                    {"car": car, "name": name, "total": float(one.totals[car])}
+                    for car, name in enumerate(race.names)
+                ]
+                documents.append({"reward": one.name, "totals": totals})
+            print(json.dumps({"picture": str(path), "scores": documents}, indent=2))
+            return
+        rows = []
+        for car, name in enumerate(race.names):
+            rows.append((name, "", *(f"{one.totals[car]:,.2f}" for one in scores)))
+        heads = ("driver", "", *(one.name for one in scores))
+        tables.table("Reward of the whole race", heads, rows)
+        print(f"Picture: {path}")
+
+
+@dataclass
+class Rewards:
+    """Check a reward function, or score a recorded race with one."""
+
+    command: (
+        Annotated[CheckReward, tyro.conf.subcommand("check")]
+        | Annotated[ScoreReplay, tyro.conf.subcommand("score")]
+    )
+
+
+def named(
+    name: str, tracks: TrackSet, sim: SimConfig, num_worlds: int, cars: Sequence[int]
+) -> Reward:
+    """Return a built-in reward, or that of a reward file (FILE.py), which pays these cars."""
+    from league.deepracer import user_reward
+    from league.envs.rewards import built_in
+
+    if name.endswith(".py"):
+        return user_reward(name, num_worlds, cars, sim=sim)
+    return built_in(name, tracks, sim.car)
+
+
+def _print_report(report: Report) -> None:
+    heads = ("drive", "", "steps", "min", "mean", "max", "us")
+    tables.table(f"{report.source.path}", heads, map(_row, report.drives), "us", "steps")
+    print(f"Keys read ({len(report.keys)} of 27): {', '.join(report.keys) or 'none'}")
+    for failure in _failures(report):
+        print(f"Fails: {failure}")
+    if report.needs_objects:
+        alone = next(one for one in report.drives if one.failure)
+        print(
+            f"Note: without boxes or other cars it fails, so a time trial cannot be trained with "
+            f"it: {alone.failure}"
+        )
+    for warning in report.warnings:
+        print(f"Note: {warning}")
+    printed = report.source.prints.lines
+    if printed:
+        print(f"It prints; the last {min(len(printed), _PRINTED)} lines:")
+        for line in printed[-_PRINTED:]:
+            print(f"  {line[:160]}")
+
+
+def _failures(report: Report) -> list[str]:
+    """Return each fault once, with the first drive on which it came."""
+    failures: dict[str, list[str]] = {}
+    for one in report.failures:
+        failure = one.failure or ""
+        fault = re.sub(rf" \({re.escape(one.title)}, steps \d+\)", "", failure)
+        failures.setdefault(fault, []).append(failure)
+    return [
+        failure + (f" (and on {len(others)} more drives)" if others else "")
+        for failure, *others in failures.values()
+    ]
+
+
+def _row(one: DriveReport) -> tuple[str, ...]:
+    state = "fails" if one.failure else "ok"
+    if not one.rewards:
+        return one.title, state, f"0 of {one.calls}", "", "", "", ""
+    steps = f"{len(one.rewards)} of {one.calls}" if one.failure else str(one.calls)
+    numbers = (_short(value) for value in (min(one.rewards), one.mean, max(one.rewards)))
+    return one.title, state, steps, *numbers, f"{one.median_us:.1f}"
+
+
+def _short(value: float) -> str:
+    """Return a number in few characters."""
+    return f"{value:.2f}" if value == 0 or 0.01 <= abs(value) < 1e4 else f"{value:.0e}"
+
+
+def _as_json(report: Report) -> dict[str, object]:
+    return {
+        "file": str(report.source.path),
+        "digest": report.source.digest,
+        "ok": not report.failures,
+        "needs_objects": report.needs_objects,
+        "keys": report.keys,
+        "unknown_keys": report.unknown_keys,
+        "warnings": report.warnings,
+        "printed": report.source.prints.lines,
+        "drives": [
+            {
+                "title": one.title,
+                "kind": one.kind,
+                "steps": one.calls,
+                "min": min(one.rewards, default=None),
+                "mean": one.mean if one.rewards else None,
+                "max": max(one.rewards, default=None),
+                "median_us": round(one.median_us, 3),
+                "failure": one.failure,
+            }
+            for one in report.drives
+        ],
+    }

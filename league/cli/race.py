@@ -23,7 +23,7 @@ from league.sim.config import USUAL_OBSTACLES
 if TYPE_CHECKING:
     from league.cli.evaluate import Evaluate
     from league.race_spec import RaceResult, RaceSpec
-    from league.replay.commentary import Remark
+    from league.racing.race import FinishedRace
     from league.sim.config import RaceKind
     from league.sim.records import World
     from league.track.track import Track
@@ -91,8 +91,7 @@ class Race:
     json: bool = False
     """Print the result as JSON."""
 
-    def run(self) -> int:
-        """Run the command."""
+    def run(self) -> None:
         from league.racing import race
         from league.track import files
 
@@ -102,11 +101,7 @@ class Race:
                 "`league drivers` lists them all"
             )
         track = files.load(self.track)
-        kind = self.kind
-        if kind == "auto" and len(self.drivers) > 1:
-            kind = "head_to_head"
-        elif kind == "auto":
-            kind = "obstacle_avoidance" if num_obstacles(self, avoiding=False) else "time_trial"
+        kind = race_kind(self, len(self.drivers))
         if self.format != "standing" and len(self.drivers) < 2:
             raise ConfigError(
                 f"--format {self.format} means nothing for a driver alone: name two to eight"
@@ -139,27 +134,20 @@ class Race:
             # Without a file, too, the story is of the recording.
             record = keep or not self.json
             finished = race.run(spec, track=track, record=record, watch=watch, listen=listen)
-        lines = []
-        if finished.replay is not None and not self.json and len(spec.entries) > 1:
-            from league.replay import commentary
-
-            lines = commentary.of_replay(finished.replay)
+        written = None
         try:
             if finished.replay is not None and path is not None:
                 from league import replay as replays
 
-                replays.write(finished.replay, path)
-        except ReplayError:
-            _print_result(self, finished.result, lines, None)  # a full disk undoes no race
-            raise
-        _print_result(self, finished.result, lines, path)
+                written = replays.write(finished.replay, path)
+        finally:
+            _print_result(self, finished, written)  # a full disk undoes no race
         if live is not None:
             live.end(finished.result)
             sys.stdout.flush()
             print(f"The race is over. {live.how_to_end}", file=sys.stderr, flush=True)
             live.wait()
             live.close()
-        return 0
 
 
 def _after_qualifying(spec: RaceSpec, track: Track, *, quiet: bool) -> RaceSpec:
@@ -174,18 +162,18 @@ def _after_qualifying(spec: RaceSpec, track: Track, *, quiet: bool) -> RaceSpec:
     return race.line_up(spec, laps)
 
 
-def _print_result(
-    command: Race, result: RaceResult, lines: Sequence[Remark], replay: Path | None
-) -> None:
+def _print_result(command: Race, finished: FinishedRace, replay: Path | None) -> None:
+    result = finished.result
     if command.json:
         document = {**result.model_dump(mode="json"), "replay": str(replay) if replay else None}
         print(json.dumps(document, indent=2))
         return
     _print_classification(result)
-    from league.replay import commentary
+    if finished.replay is not None and len(result.order) > 1:
+        from league.replay import commentary
 
-    for line in commentary.shortened(lines, STORY_LINES):
-        print(textwrap.fill(line.stamped, tables.console().width, subsequent_indent="    "))
+        for line in commentary.shortened(commentary.of_replay(finished.replay), STORY_LINES):
+            print(textwrap.fill(line.stamped, tables.console().width, subsequent_indent="    "))
     if replay is not None:
         print(replay_line(replay))
 
@@ -224,12 +212,17 @@ def race_spec(command: Race | Evaluate, track: str, kind: str, drivers: Sequence
     )
 
 
-def num_obstacles(command: Race | Evaluate, *, avoiding: bool) -> int:
-    """Return how many obstacles a command line asks for.
+def race_kind(command: Race | Evaluate, num_cars: int) -> RaceKind:
+    """Return the kind of race that was asked for, or that fits what else was."""
+    if command.kind != "auto":
+        return command.kind
+    if num_cars > 1:
+        return "head_to_head"
+    return "obstacle_avoidance" if num_obstacles(command, avoiding=False) else "time_trial"
 
-    Raises:
-        ConfigError: it asks for obstacles of some kind, and for none.
-    """
+
+def num_obstacles(command: Race | Evaluate, *, avoiding: bool) -> int:
+    """Return how many obstacles a command line asks for."""
     asked = command.bots or command.fixed_obstacles
     if asked and command.obstacles == 0:
         raise ConfigError(
@@ -308,20 +301,15 @@ def _print_classification(result: RaceResult) -> None:
     heads = ("", "driver", "laps", "total", "gap", "best lap", "off", "crash", "penalty")
     spec, winner = result.spec, result.order[0]
     title = spec.title if spec.format == "standing" else f"{spec.title}, {spec.format}"
-    rows = [
-        (
-            str(car.place),
-            car.name,
-            str(car.laps),
-            times.clock(car.total_s) if car.finished else "not finished",
-            f"+{car.total_s - winner.total_s:.3f}" if car.finished and car is not winner else "",
-            times.clock(car.best_lap_s) if car.best_lap_s else "",
-            str(car.off_tracks),
-            str(car.crashes),
-            f"{car.penalty_s:.1f}" if car.penalty_s else "",
-        )
-        for car in result.order
-    ]
+    rows = []
+    for car in result.order:
+        total = times.clock(car.total_s) if car.finished else "not finished"
+        behind = car.finished and car is not winner
+        gap = f"+{car.total_s - winner.total_s:.3f}" if behind else ""
+        best = times.clock(car.best_lap_s) if car.best_lap_s else ""
+        penalty = f"{car.penalty_s:.1f}" if car.penalty_s else ""
+        mistakes = car.off_tracks, car.crashes, penalty
+        rows.append((car.place, car.name, car.laps, total, gap, best, *mistakes))
     tables.table(title, heads, rows, "crash", "off", "laps", "best lap", "gap")
     if len(result.order) > 1:
         print(f"Lead changes: {result.lead_changes}")

@@ -42,7 +42,6 @@ class View(OnLeague):
     """Include what each car saw."""
 
     def run(self) -> int:
-        """Run the command."""
         import tempfile
 
         from league import replay as replays
@@ -77,8 +76,7 @@ class ListReplays:
     json: bool = False
     """Print JSON."""
 
-    def run(self) -> int:
-        """Run the command."""
+    def run(self) -> None:
         from league import replay as replays
 
         rows, unreadable = [], []
@@ -101,7 +99,6 @@ class ListReplays:
             tables.table(f"Replays in {self.folder}", ("made", "file", "winner"), cells)
         for sentence in unreadable:
             print(f"league: {sentence}", file=sys.stderr)
-        return 0
 
 
 @dataclass
@@ -113,8 +110,7 @@ class Video:
     out: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE.mp4")]
     """The .mp4 file to write."""
 
-    def run(self) -> int:
-        """Run the command."""
+    def run(self) -> None:
         from league import replay as replays
         from league import video
 
@@ -128,7 +124,6 @@ class Video:
                 progress=lambda share: progress.update(task, completed=share),
             )
         print(f"Video: {self.out}")
-        return 0
 
 
 @dataclass
@@ -141,7 +136,6 @@ class Verify:
     """Checkpoints of the policies that raced, if they are no longer where they were."""
 
     def run(self) -> int:
-        """Run the command."""
         from league import __version__
         from league import replay as replays
         from league.race_spec import RaceSpec
@@ -169,11 +163,7 @@ class Verify:
 
 
 def _recordings(folder: Path) -> list[Path]:
-    """Return the replays of a folder, the newest last.
-
-    Raises:
-        ReplayError: there is none.
-    """
+    """Return the replays of a folder, of which there must be some, the newest last."""
     paths = sorted(folder.glob("*.race"), key=lambda path: path.stat().st_mtime)
     if not paths:
         raise ReplayError(

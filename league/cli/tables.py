@@ -35,7 +35,7 @@ def console(*, stderr: bool = False) -> Console:
 
 
 def fitted(
-    title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], spare: Sequence[str] = ()
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[object]], spare: Sequence[str] = ()
 ) -> Table:
     """Return a table that fits the terminal: names of 24 characters are whole, and no text is cut.
 
@@ -47,7 +47,7 @@ def fitted(
         spare: columns to leave out where there is no room, the least needed one first; a line below
             the table names those.
     """
-    kept, width = list(rows), console().width
+    kept, width = [tuple(map(str, row)) for row in rows], console().width
     drawn = _drawn(title, columns, kept, 1)
     if _width(drawn) <= width:
         return drawn
@@ -64,7 +64,9 @@ def fitted(
     return drawn
 
 
-def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], *spare: str) -> None:
+def table(
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[object]], *spare: str
+) -> None:
     """Print a table that fits the terminal, see `fitted`."""
     console().print(fitted(title, columns, rows, spare))
 

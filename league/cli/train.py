@@ -86,7 +86,6 @@ class Train:
         return self.out.with_suffix(".run")
 
     def run(self) -> int:
-        """Run the command."""
         precompile.ensure()
         return _train(self)
 
@@ -95,9 +94,6 @@ def parse(arguments: list[str]) -> Train:
     """Return the command with all its settings.
 
     Arguments are read twice: some flags, such as --resume, decide what the others' defaults are.
-
-    Raises:
-        LeagueError: a flag is refused, or there is no run to resume, or one in the way.
     """
     arguments = _with_new_names(arguments)
     command = _parsed(arguments, Train())
@@ -130,11 +126,7 @@ def _parsed(arguments: list[str], default: Train) -> Train:
 
 
 def _with_new_names(arguments: list[str]) -> list[str]:
-    """Return arguments with today's names of flags.
-
-    Raises:
-        ConfigError: a flag has been removed.
-    """
+    """Return arguments with today's names of flags; refuse those that have been removed."""
     flags = [argument.partition("=")[0].replace("_", "-") for argument in arguments]
     renamed = []
     for argument, flag in zip(arguments, flags, strict=True):
@@ -229,9 +221,8 @@ def _resume(command: Train, run: Run) -> None:
         )
     if not distributed.is_first():
         return
-    if run.cfg.budget == before.budget:
-        rest = ", with the settings the run was started with."
-    else:
+    rest = ", with the settings the run was started with."
+    if run.cfg.budget != before.budget:
         rest = (
             f", to {_budget(run.cfg)} in all instead of {_budget(before)}; learning rate and noise "
             "follow the whole budget."

@@ -31,11 +31,7 @@ _STEPS_OF_LAPS = 256
 
 
 def defaults(command: Train) -> RunConfig:
-    """Return the settings of which the flags change some: of the resumed run, or of a new one.
-
-    Raises:
-        LeagueError: there is no run, or a file or text that a flag names cannot be read.
-    """
+    """Return the settings of which the flags change some: of the resumed run, or of a new one."""
     cfg = _stored(command) if command.resume else _new(command)
     if command.hyperparameters is None:
         return cfg
@@ -60,7 +56,9 @@ def _new(command: Train) -> RunConfig:
     ppo = PpoConfig(rollout=train.ppo.rollout)
     if cfg.init_from:
         ppo = ppo.refining()
-    elif train.kind != "head_to_head" and _is_short(cfg):
+    elif train.kind != "head_to_head" and (
+        0 < cfg.minutes <= _SHORT_MIN or 0 < cfg.steps <= _SHORT_STEPS
+    ):  # a usual batch would have too few updates
         ppo = ppo.hurrying()
         if train.num_worlds == TrainConfig.num_worlds:  # else a flag says how many
             train = replace(train, num_worlds=_FEW_WORLDS)
@@ -77,20 +75,10 @@ def _new(command: Train) -> RunConfig:
     )
 
 
-def _is_short(cfg: RunConfig) -> bool:
-    """Whether a budget is so small that a usual batch would have too few updates."""
-    return 0 < cfg.minutes <= _SHORT_MIN or 0 < cfg.steps <= _SHORT_STEPS
-
-
 def finished(command: Train) -> RunConfig:
-    """Return the settings of a new run, from all flags.
-
-    Raises:
-        ConfigError: flags contradict each other, or would be ignored.
-    """
-    cfg = command.cfg
+    """Return the settings of a new run, from all flags; refuse flags that contradict each other."""
+    cfg, train = command.cfg, command.cfg.train
     _check(cfg)
-    train = cfg.train
     number = USUAL_OBSTACLES if train.obstacles is None else train.obstacles
     print_remark(train.kind, number, train.num_cars)
     line = shlex.join(["league", *sys.argv[1:]])[:2000]
@@ -111,26 +99,18 @@ def _check(cfg: RunConfig) -> None:
     train, plain, racing = cfg.train, RunConfig(), cfg.train.kind == "head_to_head"
     obstacles = train.obstacles != plain.train.obstacles
     cars = train.num_cars != 1 + racing * len(cfg.opponents)
-    for needed, is_there, flags in (
-        (
-            "--kind obstacle_avoidance or head_to_head",
-            train.kind != "time_trial",
-            {"--obstacles": obstacles, "--bots": train.bots},
-        ),
-        (
-            "--kind head_to_head",
-            racing,
-            {
-                "--opponents": cfg.opponents,
-                "--self-play": cfg.self_play,
-                "--rules": train.rules != plain.train.rules,
-            },
-        ),
-        ("--self-play", cfg.self_play, {"--cars": cars}),
+    in_company = "--kind obstacle_avoidance or head_to_head", train.kind != "time_trial"
+    in_a_race = "--kind head_to_head", racing
+    for flag, is_given, (needed, is_there) in (
+        ("--obstacles", obstacles, in_company),
+        ("--bots", train.bots, in_company),
+        ("--opponents", cfg.opponents, in_a_race),
+        ("--self-play", cfg.self_play, in_a_race),
+        ("--rules", train.rules != plain.train.rules, in_a_race),
+        ("--cars", cars, ("--self-play", cfg.self_play)),
     ):
-        for flag, is_given in flags.items():
-            if is_given and not is_there:
-                raise ConfigError(f"{flag} means nothing without {needed}: give both, or neither")
+        if is_given and not is_there:
+            raise ConfigError(f"{flag} means nothing without {needed}: give both, or neither")
     if racing and cfg.self_play == bool(cfg.opponents):
         raise ConfigError(
             "--kind head_to_head needs opponents: give either --opponents NAME ... or --self-play"
@@ -214,13 +194,10 @@ def _with_body(command: Train, train: TrainConfig) -> TrainConfig:
 def _from_deepracer(path: Path, train: TrainConfig) -> PpoConfig:
     """Return the learner's settings with those that a hyperparameters.json names."""
     asked = hyperparameters.read(path)
-    changes: dict[str, object] = {}
+    same = {"gamma": asked.discount_factor, "epochs": asked.num_epochs}
+    changes: dict[str, object] = {name: one for name, one in same.items() if one is not None}
     if asked.lr is not None:
         changes["learning_rate"] = (asked.lr, asked.lr)
-    if asked.discount_factor is not None:
-        changes["gamma"] = asked.discount_factor
-    if asked.num_epochs is not None:
-        changes["epochs"] = asked.num_epochs
     if asked.batch_size is not None:
         changes["mini_batches"] = max(1, train.samples // asked.batch_size)
         if asked.batch_size > train.samples:
@@ -240,11 +217,7 @@ def _from_deepracer(path: Path, train: TrainConfig) -> PpoConfig:
 
 
 def parse_actions(text: str) -> ActionSpace:
-    """Return the action space of `0.5-4`, `1-4@25`, `5x2@1.0` or a model_metadata.json.
-
-    Raises:
-        ConfigError: it is none of these.
-    """
+    """Return the action space of `0.5-4`, `1-4@25`, `5x2@1.0` or a model_metadata.json."""
     if text.endswith(".json"):
         model = metadata.read(text)
         for note in model.notes:
@@ -265,11 +238,7 @@ def parse_actions(text: str) -> ActionSpace:
 
 
 def parse_sensors(names: tuple[str, ...]) -> SensorConfig:
-    """Return what a car carries, of `stereo64x48`, `lidar` and the like or a model_metadata.json.
-
-    Raises:
-        ConfigError: it is none of these, or two of a kind.
-    """
+    """Return what a car carries, of `stereo64x48`, `lidar` and such or a model_metadata.json."""
     if len(names) == 1 and names[0].endswith(".json"):
         return metadata.read(names[0]).sensors
     return make.sensors_of_car(names)

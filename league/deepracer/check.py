@@ -6,27 +6,26 @@ import os
 import statistics
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from league.deepracer.params import KEYS, Params, ParamsBuilder
 from league.deepracer.reward_file import Function, RewardFile
-from league.deepracer.watchdog import NOT_ITS_OWN, end, stuck
+from league.deepracer.watchdog import NOT_ITS_OWN, Stopped, stuck, throw
 from league.envs.actions import encode
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
+from league.envs.rewards import Paid
 from league.envs.state import INDEX
 from league.errors import RewardError
 from league.sim.config import RULES, ObstacleConfig, RaceKind, SimConfig
 from league.sim.records import World
 from league.track import files
 from league.track.track import Track, TrackSet
-
-if TYPE_CHECKING:
-    from _collections_abc import dict_items, dict_values
 
 TIME_LIMIT_S = 5.0
 """Longest call, as in the original's validator [s]."""
@@ -39,7 +38,6 @@ class DriveReport:
     title: str
     """What the drive shows."""
     kind: str
-    """Kind of race."""
     calls: int
     """Steps rewarded."""
     rewards: tuple[float, ...]
@@ -60,9 +58,7 @@ class Report:
     """How a reward file did on all drives."""
 
     source: RewardFile
-    """The file."""
     drives: tuple[DriveReport, ...]
-    """Each drive."""
     keys: tuple[str, ...]
     """Keys of `params` it has read, by name."""
     unknown_keys: tuple[str, ...]
@@ -92,39 +88,25 @@ class _Watched(dict[str, Any]):
         super().__init__(params)
         self._read, self._own = read, set()
 
-    def _note(self, *keys: str) -> None:
-        self._read.update(key for key in keys if key not in self._own)
-
     def __getitem__(self, key: str) -> object:
-        self._note(key)
+        if key not in self._own:
+            self._read.add(key)
         return super().__getitem__(key)
 
     def __setitem__(self, key: str, value: object) -> None:
         self._own.add(key)
         super().__setitem__(key, value)
 
-    def get(self, key: str, default: object = None) -> object:
-        self._note(key)
-        return super().get(key, default)
-
-    def pop(self, key: str, *default: object) -> object:
-        self._note(key)
-        return super().pop(key, *default)
-
     def __iter__(self) -> Iterator[str]:
         # Not dict's own, or `dict(params)` would copy all values without a call of __getitem__.
         return iter(super().keys())
 
-    def items(self) -> dict_items[str, Any]:
-        self._note(*self)
-        return super().items()
-
-    def values(self) -> dict_values[str, Any]:
-        self._note(*self)
-        return super().values()
-
     def copy(self) -> dict[str, Any]:
         return dict(self)
+
+    # Unlike dict's own, these call __getitem__.
+    get, pop = MutableMapping.get, MutableMapping.pop  # type: ignore
+    items, values = MutableMapping.items, MutableMapping.values  # type: ignore
 
 
 @dataclass
@@ -170,7 +152,7 @@ def check(
         if thread.is_alive() and time.monotonic() - progress.call_began > time_limit_s:
             assert thread.ident is not None
             error = stuck(str(source.path), thread.ident, time_limit_s)
-            end(thread.ident)
+            throw(thread.ident, Stopped)
             raise error
     if progress.error is not None:
         raise progress.error
@@ -245,7 +227,6 @@ class Drive:
     title: str
     """What it shows."""
     kind: RaceKind
-    """Kind of race."""
     params: list[Params]
     """Argument of the function, step by step."""
 
@@ -259,17 +240,12 @@ class _ParamsRecorder:
         self.params: list[Params] = []
         self._builder = ParamsBuilder(sim, (car,))
 
-    def restart(self, world: World, begun: np.ndarray) -> None:
+    def restart(self, world: World, begun: ndarray) -> None:
         self._builder.restart(begun)
 
     def __call__(
-        self,
-        tracks: TrackSet,
-        before: World,
-        world: World,
-        actions: np.ndarray,
-        verdicts: np.ndarray,
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray
+    ) -> Paid:
         self.params.extend(self._builder.rows(tracks, before, world, verdicts).params)
         return np.zeros(verdicts.shape, np.float32), {}
 
@@ -330,7 +306,7 @@ def _drive(
     return Drive(title=title, kind=sim.kind, params=recorder.params)
 
 
-def _follow(state: np.ndarray, speed: float, lane: float, sim: SimConfig) -> np.ndarray:
+def _follow(state: ndarray, speed: float, lane: float, sim: SimConfig) -> ndarray:
     """Return actions that follow a line parallel to the centreline, by two gains."""
     lateral, heading = state[:, INDEX["lateral"]] - lane, state[:, INDEX["heading_error"]]
     bend = state[:, INDEX["curvature_0.25m"]] - 1.5 * lateral - 2.5 * heading

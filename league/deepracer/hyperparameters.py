@@ -12,7 +12,7 @@ from typing import Any, Literal
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from league.deepracer.model_metadata import load_json, reason
-from league.errors import ConfigError, brief, nearest_names
+from league.errors import ConfigError, brief, first_problem, nearest_names
 
 _WORDS = {"mean squared error": "mse", "e_greedy": "e-greedy"}
 """Other spellings of words in use."""
@@ -30,7 +30,6 @@ class Hyperparameters(BaseModel):
     lr: float | None = Field(
         None, ge=1e-8, le=0.1, validation_alias=AliasChoices("lr", "learning_rate")
     )
-    """Learning rate."""
     beta_entropy: float | None = Field(
         None, ge=0, le=1, validation_alias=AliasChoices("beta_entropy", "entropy")
     )
@@ -103,10 +102,9 @@ def parse(content: Mapping[str, Any], name: str = "hyperparameters") -> Hyperpar
     try:
         return Hyperparameters.model_validate(dict(content))
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
+        first, key, _ = first_problem(error, "the file")
         if first["type"] not in ("greater_than_equal", "less_than_equal"):
             raise ConfigError(f"{name}: {reason(error)}") from None
-        key = str(first["loc"][0])
         low, high = Hyperparameters.model_fields[key].metadata
         limits = f"give {low.ge:g} to {high.le:g}"
         raise ConfigError(f"{name}: {key} is {brief(first['input'])}: {limits}") from None

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from league.envs.actions import MAX_SPEED, ActionSpace, ContinuousActions, DiscreteActions
-from league.errors import ConfigError, brief, nearest_names
+from league.errors import ConfigError, brief, first_problem, nearest_names
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
 
 VERSIONS = ("1", "2", "3", "4", "5", "6")
@@ -127,12 +127,8 @@ def parse(content: Mapping[str, Any], name: str = "model_metadata") -> Metadata:
     ranges = isinstance(content.get("action_space"), Mapping)
     try:
         file = (_ContinuousFile if ranges else _DiscreteFile).model_validate(dict(content))
-    except ValidationError as error:
-        raise ConfigError(f"{name}: {reason(error)}") from None
-    try:
-        action_space = _action_space(file, kind)
         return Metadata(
-            action_space=action_space,
+            action_space=_action_space(file, kind),
             sensors=_sensors(file.sensor or ["observation"], file.lidar_config),
             version=_version(file),
             training_algorithm=_one_of(  # type: ignore
@@ -141,6 +137,8 @@ def parse(content: Mapping[str, Any], name: str = "model_metadata") -> Metadata:
             neural_network=_one_of("neural_network", file.neural_network, NETWORKS),
             notes=_notes(file),
         )
+    except ValidationError as error:
+        raise ConfigError(f"{name}: {reason(error)}") from None
     except ConfigError as error:
         raise ConfigError(f"{name}: {error}") from None
 
@@ -286,9 +284,7 @@ def load_json(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
 
 def reason(error: ValidationError) -> str:
     """Return pydantic's first complaint as one phrase."""
-    first = error.errors(include_url=False)[0]
-    where = ".".join(str(part)[:40] for part in first["loc"]) or "the file"
-    message = first["msg"].replace("\n", " ").removeprefix("Value error, ")[:200]
+    first, where, message = first_problem(error, "the file")
     if first["type"] == "missing":
         return f"{where} is missing: give it"
     if first["type"] == "extra_forbidden":

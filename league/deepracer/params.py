@@ -17,6 +17,7 @@ from league.deepracer import params_kernels
 from league.errors import ConfigError
 from league.sim.config import CameraConfig, CarConfig, SimConfig
 from league.sim.records import World
+from league.track import spline
 from league.track.track import Track, TrackSet
 
 WAYPOINT_SPACING = 0.15
@@ -188,7 +189,8 @@ class Roads:
         for name in ("length", "closed"):
             records[name] = tracks.courses[name]
         records["lap"] = tracks.lap_length(np.arange(len(records)))
-        records["steps"] = [_steps(track) for track in tracks.tracks]
+        waypoints = tuple(_waypoints(track) for track in tracks.tracks)
+        records["steps"] = [len(points) - 1 for points in waypoints]
         own = [
             np.empty((0, 2)) if one.waypoints is None else one.waypoints for one in tracks.tracks
         ]
@@ -198,22 +200,16 @@ class Roads:
             records=records,
             own_waypoints=np.concatenate(own).astype(np.float64),
             clockwise=[track.direction == "clockwise" for track in tracks.tracks],
-            waypoints=tuple(_waypoints(track) for track in tracks.tracks),
+            waypoints=waypoints,
         )
-
-
-def _steps(track: Track) -> int:
-    if track.waypoints is not None:
-        return len(track.waypoints) - 1
-    return max(round(track.length / WAYPOINT_SPACING), 3)
 
 
 def _waypoints(track: Track) -> list[Point]:
     if track.waypoints is not None:
         return [(x, y) for x, y in track.waypoints.tolist()]
     points = np.vstack([track.center, track.center[:1]]) if track.closed else track.center
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    places = np.linspace(0.0, along[-1], _steps(track) + 1)
+    along, steps = spline.travelled(points), max(round(track.length / WAYPOINT_SPACING), 3)
+    places = np.linspace(0.0, along[-1], steps + 1)
     x, y = (np.interp(places, along, points[:, axis]).tolist() for axis in (0, 1))
     line = list(zip(x, y, strict=True))
     return [*line[:-1], line[0]] if track.closed else line

@@ -5,9 +5,6 @@ a batched library spends all its time on getting started. docs/rewards.md says w
 All is computed in float64, from the simulator's float32 records.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 
 import numpy as np

@@ -100,12 +100,11 @@ def _verdicts(replay: Replay) -> np.ndarray:
     """
     verdicts = np.zeros((replay.num_frames, replay.num_cars), VERDICT)
     verdicts["crashed_car"] = verdicts["crashed_obstacle"] = NOBODY
+    hits = {"crash": "crashed_car", "obstacle_contact": "crashed_obstacle"}
     for event in replay.result.events:
         verdict = verdicts[_frame(replay, event.time_s), event.car]
-        if event.kind == "crash":
-            verdict["crashed_car"] = NOBODY if event.other is None else event.other
-        if event.kind == "obstacle_contact":
-            verdict["crashed_obstacle"] = NOBODY if event.other is None else event.other
+        if event.kind in hits:
+            verdict[hits[event.kind]] = NOBODY if event.other is None else event.other
         if event.kind == "overtake" and event.other is not None:
             verdict["overtook"] |= 1 << event.other
     for flag, kind in _FLAGS.items():
@@ -183,8 +182,8 @@ def draw(replay: Replay, scores: Sequence[Score], path: Path) -> None:
 
 def _running_mean(values: np.ndarray, width: int) -> np.ndarray:
     """Return the mean over a window centred on each step, shorter at the ends."""
-    window = np.ones(min(max(width, 1), max(len(values), 1)))
     if not len(values):
         return values
+    window = np.ones(min(max(width, 1), len(values)))
     sums = np.convolve(values, window, "same")
     return sums / np.convolve(np.ones_like(values), window, "same")

@@ -27,9 +27,11 @@ from types import CodeType, ModuleType
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from league.deepracer.params import KEYS, Params, ParamsBuilder
 from league.deepracer.watchdog import NOT_ITS_OWN, TIME_LIMIT_S, Watchdog
+from league.envs.rewards import Paid
 from league.errors import RewardError, brief, nearest_names
 from league.sim.config import SimConfig
 from league.sim.records import World
@@ -196,23 +198,23 @@ class RewardFile:
                 "number"
             )
         try:
-            parameters = list(inspect.signature(function).parameters.values())
+            signature = inspect.signature(function)
         except (TypeError, ValueError):
             return function
-        needed = [p for p in parameters if p.default is p.empty and p.kind not in (2, 4)]
-        takes_one = any(p.kind in (0, 1, 2) for p in parameters)
-        line = _first_line(function)
-        if any(p.name == "on_track" for p in parameters):
+        parameters, line = signature.parameters, _first_line(function)
+        if "on_track" in parameters:
             raise RewardError(
                 f"{self.path}, line {line}: {NAME} takes {len(parameters)} parameters, the "
                 "positional signature of November 2018, which is no longer used: take one dict, "
                 f"`def {NAME}(params):`"
             )
-        if len(needed) > 1 or not takes_one or any(p.kind == p.KEYWORD_ONLY for p in needed):
+        try:
+            signature.bind({})
+        except TypeError:
             raise RewardError(
                 f"{self.path}, line {line}: {NAME} takes {len(parameters)} parameters: it must "
                 f"take one, `def {NAME}(params):`"
-            )
+            ) from None
         return function
 
 
@@ -315,18 +317,13 @@ class UserReward:
         """The last lines that the file has printed."""
         return self.source.prints.lines
 
-    def restart(self, world: World, begun: np.ndarray) -> None:
+    def restart(self, world: World, begun: ndarray) -> None:
         """Begin an episode for these cars; their modules keep their state."""
         self._builder.restart(begun)
 
     def __call__(
-        self,
-        tracks: TrackSet,
-        before: World,
-        world: World,
-        actions: np.ndarray,
-        verdicts: np.ndarray,
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray
+    ) -> Paid:
         """Return each car's reward, (num_worlds, num_cars), and its only term; see Reward.
 
         Raises:

@@ -82,7 +82,7 @@ class Watchdog:
                 return
             self._error = self._error or stuck(self._path, self._thread, self.limit_s)
             if self._busy:
-                _throw(self._thread, Stopped)
+                throw(self._thread, Stopped)
                 _wake(self._thread)
             else:
                 self._error = None
@@ -90,7 +90,7 @@ class Watchdog:
     def _begin(self) -> None:
         self._begun, over = True, threading.Event()
         if _WAKE is not None and threading.current_thread() is threading.main_thread():
-            signal.signal(_WAKE, _nothing)
+            signal.signal(_WAKE, lambda number, frame: None)
         weakref.finalize(self, over.set)
         arguments = (weakref.ref(self), over, self.limit_s / _LOOKS)
         threading.Thread(target=_watch, args=arguments, daemon=True, name="watchdog").start()
@@ -99,7 +99,7 @@ class Watchdog:
         with self._lock:
             error, self._error = self._error, None
             # The call may have returned just before it was to end.
-            _throw(self._thread, None)
+            throw(self._thread, None)
         if error is not None:
             raise error
 
@@ -130,11 +130,6 @@ def _frame(thread: int) -> FrameType | None:
     return sys._current_frames().get(thread)  # pyright: ignore[reportPrivateUsage]
 
 
-def end(thread: int) -> None:
-    """Throw `Stopped` into a thread."""
-    _throw(thread, Stopped)
-
-
 def is_debugged(thread: int) -> bool:
     """Return whether a debugger steps through the thread."""
     frame = _frame(thread)
@@ -155,10 +150,7 @@ def _wake(thread: int) -> None:
         signal.pthread_kill(thread, _WAKE)
 
 
-def _nothing(_number: int, _frame: object) -> None:
-    pass
-
-
-def _throw(thread: int, error: type[BaseException] | None) -> None:
+def throw(thread: int, error: type[BaseException] | None) -> None:
+    """Raise an exception in a thread at its next line; None takes it back."""
     thrown = None if error is None else ctypes.py_object(error)
     ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), thrown)

@@ -21,8 +21,7 @@ from league.sim.config import CarConfig
 if TYPE_CHECKING:  # only learners need torch
     from torch import Tensor
 
-SIZE = 2
-"""Numbers in one action: steering and speed."""
+SIZE = 2  # numbers in one action: steering and speed
 
 
 def encode(steering: np.ndarray, speed: np.ndarray, car: CarConfig) -> np.ndarray:
@@ -84,11 +83,7 @@ def valid_rows(actions: np.ndarray) -> np.ndarray:
 
 
 def finite(action: object, name: str, shape: tuple[int, int]) -> np.ndarray:
-    """Return what networks answered for some rows, float32; see `checked`.
-
-    Raises:
-        ActionError: not real numbers, the wrong shape, NaN or infinity.
-    """
+    """Return what networks answered, float32; ActionError for NaN, infinity, or as `checked`."""
     numbers = real_numbers(action, name, shape, "(rows, actions)")
     if not np.isfinite(numbers).all():
         row = int(np.argmin(np.isfinite(numbers).all(axis=1)))
@@ -144,15 +139,9 @@ def _readable(numbers: np.ndarray) -> str:
 def of_agents(
     actions: object, racing: Sequence[str], known: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """Return the checked action of each agent that is still racing.
+    """Return the checked action of each agent in `racing`; ActionError says what does not fit.
 
-    Args:
-        actions: a dict of actions by agent.
-        racing: agents that must act.
-        known: agents that the environment has had since its reset.
-
-    Raises:
-        ActionError: an agent without an action, an action without its agent, or no action.
+    `actions` is a dict by agent, `known` are the agents since the environment's reset.
     """
     if not isinstance(actions, Mapping):
         raise ActionError(
@@ -189,18 +178,14 @@ MAX_CHOICES = 256
 class ContinuousActions:
     """Two numbers in [-1, 1], scaled to a range of steering and a range of speed."""
 
-    steering_low: float = -30.0
-    """Steering asked for by -1 [deg], positive to the left."""
-    steering_high: float = 30.0
-    """Steering asked for by 1 [deg]."""
-    speed_low: float = 0.5
-    """Speed asked for by -1 [m/s]."""
-    speed_high: float = 4.0
-    """Speed asked for by 1 [m/s]."""
+    steering_low: float = -30.0  # steering asked for by -1 [deg], positive to the left
+    steering_high: float = 30.0  # steering asked for by 1 [deg]
+    speed_low: float = 0.5  # speed asked for by -1 [m/s]
+    speed_high: float = 4.0  # speed asked for by 1 [m/s]
 
     def __post_init__(self) -> None:
-        _check_steering(self.steering_low, self.steering_high)
-        _check_speed(self.speed_low, self.speed_high)
+        _check_choice(self.steering_low, self.speed_low)
+        _check_choice(self.steering_high, self.speed_high)
         if not self.steering_low < self.steering_high or not self.speed_low <= self.speed_high:
             raise ConfigError(
                 f"the action space runs from {self.steering_low:g} to {self.steering_high:g} deg "
@@ -238,18 +223,16 @@ class ContinuousActions:
 class DiscreteActions:
     """A list of choices; a network scores each, and the chosen one is recorded as one-hot."""
 
-    choices: tuple[tuple[float, float], ...]
-    """Steering [deg] and speed [m/s] of each choice."""
+    choices: tuple[tuple[float, float], ...]  # steering [deg] and speed [m/s] of each choice
 
     def __post_init__(self) -> None:
         if not 2 <= len(self.choices) <= MAX_CHOICES:
             raise ConfigError(
                 f"the action space has {len(self.choices)} choices: give 2 to {MAX_CHOICES}"
             )
-        for number, (steering, speed) in enumerate(self.choices):
+        for number, choice in enumerate(self.choices):
             try:
-                _check_steering(steering)
-                _check_speed(speed)
+                _check_choice(*choice)
             except ConfigError as error:
                 raise ConfigError(f"choice {number}: {error}") from None
 
@@ -279,10 +262,7 @@ class DiscreteActions:
         return outputs[:, swapped]
 
     def controls(self, outputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return steering [deg] and speed [m/s] of the best-scored choice, each (num_rows,).
-
-        Of equal scores the first counts.
-        """
+        """Return steering [deg] and speed [m/s] of the choice with the (first) best score."""
         steering, speed = np.array(self.choices, np.float32)[outputs.argmax(axis=1)].T
         return steering, speed
 
@@ -293,10 +273,7 @@ ActionSpace: TypeAlias = ContinuousActions | DiscreteActions
 def to_actions(space: ActionSpace, outputs: np.ndarray, car: CarConfig) -> np.ndarray:
     """Return the environment's actions that a network's outputs ask for, float32 (num_rows, 2).
 
-    Args:
-        space: what the outputs mean.
-        outputs: one row for each car, float32 (num_rows, space.size).
-        car: ranges of the environment's own actions.
+    The outputs are float32 (num_rows, space.size); `car` has the ranges of the actions.
     """
     steering, speed = space.controls(outputs)
     return encode(steering * (math.pi / 180.0), speed, car)
@@ -321,24 +298,17 @@ def grid(steerings: int, max_steering: float, speeds: int, max_speed: float) -> 
             f"a grid of {steerings} steering angles and {speeds} speeds is too large: "
             f"give at most {MAX_CHOICES} choices"
         )
-    # From the middle outwards, so that left and right are the same number to the bit.
-    half = [max_steering * (1.0 - 2.0 * number / (steerings - 1)) for number in range(steerings)]
-    for number in range(steerings // 2):
-        half[steerings - 1 - number] = -half[number]
-    if steerings % 2:
-        half[steerings // 2] = 0.0
+    half = range(steerings // 2)
+    left = [max_steering * (1.0 - 2.0 * number / (steerings - 1)) for number in half]
+    # Left and right are the same number to the bit.
+    angles = [*left, *[0.0] * (steerings % 2), *(-angle for angle in reversed(left))]
     return DiscreteActions(
-        tuple((angle, max_speed * (n + 1) / speeds) for angle in half for n in range(speeds))
+        tuple((angle, max_speed * (n + 1) / speeds) for angle in angles for n in range(speeds))
     )
 
 
-def _check_steering(*angles: float) -> None:
-    for angle in angles:
-        if not abs(angle) <= MAX_STEERING_DEG:  # False for NaN
-            raise ConfigError(f"a steering angle is {angle} deg: give -30 to 30")
-
-
-def _check_speed(*speeds: float) -> None:
-    for speed in speeds:
-        if not MIN_SPEED <= speed <= MAX_SPEED:
-            raise ConfigError(f"a speed is {speed} m/s: give {MIN_SPEED} to {MAX_SPEED}")
+def _check_choice(angle: float, speed: float) -> None:
+    if not abs(angle) <= MAX_STEERING_DEG:  # False for NaN
+        raise ConfigError(f"a steering angle is {angle} deg: give -30 to 30")
+    if not MIN_SPEED <= speed <= MAX_SPEED:
+        raise ConfigError(f"a speed is {speed} m/s: give {MIN_SPEED} to {MAX_SPEED}")

@@ -1,7 +1,5 @@
 """Drivers of cars: the protocol, and the drivers of the cars that do not learn."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
@@ -72,11 +70,7 @@ class Opponents:
 def check_field(
     cfg: EnvConfig, learners: Sequence[int], drivers: Mapping[int, Driver | str]
 ) -> None:
-    """Check that every car learns or has a driver, and that the learners' rows are alike.
-
-    Raises:
-        ConfigError: they do not.
-    """
+    """Check that each car learns or has a driver, and learners are alike; else ConfigError."""
     if cfg.mode != "training" or cfg.restarting is not None:
         raise ConfigError(
             f"mode is {cfg.mode!r}, restarting is {cfg.restarting}: rows have episodes of "

@@ -1,10 +1,5 @@
 """Compiled: episodes in training, when they end and where cars begin the next one."""
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np
@@ -14,7 +9,6 @@ from league.envs.config import EnvConfig, Scenarios
 from league.jit import inner
 from league.portable_math import clamp, f32
 from league.sim import grid
-from league.sim import obstacles as obstacle_kernels
 from league.sim.rng import SEED_MASK, bits_of, purposes, uniform_of
 from league.track.projection import frame_at, signed_gap
 
@@ -53,18 +47,8 @@ def settings(cfg: EnvConfig) -> np.ndarray:
 
 
 @inner
-def begin_all(encounter, cars, obstacles, world, points, course, places, sim, episodes):
-    """Begin the first episode of every car of one world, which has just been put on the grid."""
-    all_cars = (1 << len(cars)) - 1
-    _restart(all_cars, encounter, cars, obstacles, world, points, course, places, sim, episodes)
-
-
-@inner
 def end_and_begin(done, encounter, cars, obstacles, world, points, course, places, sim, episodes):
-    """Begin the next episodes of one world; return the mask of the cars that begin one.
-
-    `done` is the mask of the cars with an episode that is over; see step.py for the rest.
-    """
+    """Begin the next episodes of the cars in the mask `done`; return the mask of those that do."""
     begins = done
     if not episodes.meeting and not episodes.all_restart:
         begins = done & episodes.restarting
@@ -72,7 +56,7 @@ def end_and_begin(done, encounter, cars, obstacles, world, points, course, place
             if ((done & ~begins) >> c) & 1:
                 grid.retire(cars[c])
     if begins:
-        _restart(begins, encounter, cars, obstacles, world, points, course, places, sim, episodes)
+        begin(begins, encounter, cars, obstacles, world, points, course, places, sim, episodes)
         for c in range(len(cars)):
             # A car that begins another episode is to blame for nothing of the last one.
             if (begins >> cars[c].pushed_by) & 1:
@@ -81,12 +65,13 @@ def end_and_begin(done, encounter, cars, obstacles, world, points, course, place
 
 
 @inner
-def _restart(mask, encounter, cars, obstacles, world, points, course, places, sim, episodes):
+def begin(mask, encounter, cars, obstacles, world, points, course, places, sim, episodes):
+    """Begin the next episodes of the cars in a mask."""
     all_begin = mask == (1 << len(cars)) - 1
     if all_begin and len(obstacles) and sim.random_places and world.step > 0:
         # Another seed, and with it other obstacles.
         world.seed = bits_of(world.seed, _SEED, world.step) & SEED_MASK
-        obstacle_kernels.place(obstacles, world, points, course, places, sim)
+        grid.place_obstacles(obstacles, world, points, course, places, sim)
     if episodes.meeting:
         scenarios.begin(encounter, cars, obstacles, world, points, course, sim, episodes)
     else:
@@ -143,10 +128,7 @@ def encode(car, sim):
 
 @inner
 def _free_spots(mask, cars, obstacles, world, spots, course):
-    """Draw s of a free stretch for each car of a mask; those that begin together keep clear.
-
-    Of eight places the first that is 0.8 m clear of all else is taken, or the clearest.
-    """
+    """Draw s of a stretch for each car of a mask: the first of 8 that is clear, or the clearest."""
     for c in range(len(cars)):
         spots[c] = cars[c].s
     for c in range(len(cars)):

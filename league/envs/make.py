@@ -1,14 +1,12 @@
 """From the arguments of the adapters to what a RaceEnv needs: TrackSet, EnvConfig and seeds."""
 
-from __future__ import annotations
-
 import inspect
 import os
 import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Literal, TypedDict, Unpack
+from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
 
@@ -141,11 +139,7 @@ def configure(
 
 
 def check_options(options: Iterable[str], function: Callable[..., object]) -> None:
-    """Check the names of the keyword arguments that a function passes on as EnvOptions.
-
-    Raises:
-        ConfigError: there is no such argument.
-    """
+    """Check the names of the EnvOptions that a function passes on; ConfigError for another."""
     if unknown := set(options) - EnvOptions.__annotations__.keys():
         own = set(inspect.signature(function).parameters) - {"self", "options"}
         near = nearest_names(min(unknown), [*own, *EnvOptions.__annotations__])
@@ -153,11 +147,7 @@ def check_options(options: Iterable[str], function: Callable[..., object]) -> No
 
 
 def weights(reward: RewardConfig | Reward | str | os.PathLike[str] | None) -> RewardConfig:
-    """Return the weights of the built-in terms; a reward that is computed in Python needs none.
-
-    Raises:
-        ConfigError: there is no built-in reward of this name.
-    """
+    """Return the weights of the built-in terms; ConfigError for an unknown name."""
     if isinstance(reward, RewardConfig):
         return reward
     name = os.fspath(reward) if isinstance(reward, str | os.PathLike) else RACING_LINE
@@ -165,11 +155,7 @@ def weights(reward: RewardConfig | Reward | str | os.PathLike[str] | None) -> Re
 
 
 def checked_seed(seed: object) -> int:
-    """Return a user's seed as an int.
-
-    Raises:
-        ConfigError: it is not a whole number from 0.
-    """
+    """Return a user's seed as an int; ConfigError if it is not a whole number from 0."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ConfigError(f"seed is {seed!r}: give a whole number, 0 or more, or None")
     return int(seed)
@@ -181,11 +167,7 @@ def draw_seed(generator: np.random.Generator) -> int:
 
 
 def sensors_of_car(sensors: Carried) -> SensorConfig:
-    """Return what one car carries, from names or settings of its sensors.
-
-    Raises:
-        ConfigError: there is no such sensor, or two of a kind.
-    """
+    """Return what a car carries; ConfigError for an unknown sensor, or two of a kind."""
     if isinstance(sensors, SensorConfig):
         return sensors
     if sensors is None:
@@ -194,46 +176,29 @@ def sensors_of_car(sensors: Carried) -> SensorConfig:
         sensors = (sensors,)
     if not isinstance(sensors, Sequence):
         raise ConfigError(_no_sensor(sensors))
-    truth = "truth" in sensors
-    named: list[Sensor] = []
-    numbers: dict[str, list[int]] = {"history": [], "frames": []}
-    for sensor in sensors:
-        match = re.fullmatch(r"(history|frames)([0-9]{1,3})", str(sensor))
-        if match is not None:
-            numbers[match[1]].append(int(match[2]))
-        elif sensor != "truth":
-            named.append(sensor)
-    carried = [_named(sensor) if isinstance(sensor, str) else sensor for sensor in named]
-    cameras = [sensor for sensor in carried if isinstance(sensor, CameraConfig)]
-    lidars = [sensor for sensor in carried if isinstance(sensor, LidarConfig)]
-    strangers = [sensor for sensor in carried if sensor not in (*cameras, *lidars, None)]
-    if strangers:
-        raise ConfigError(_no_sensor(strangers[0]))
-    if any(len(given) > 1 for given in (cameras, lidars, *numbers.values())):
+    parts = [_part(sensor) for sensor in sensors if sensor not in (None, "motion", "truth")]
+    if len(dict(parts)) < len(parts):
         raise ConfigError(
             f"the sensors {brief(sensors)} hold two of a kind: give one camera and one lidar"
         )
-    return SensorConfig(
-        camera=cameras[0] if cameras else None,
-        lidar=lidars[0] if lidars else None,
-        truth=truth,
-        **{name: given[0] for name, given in numbers.items() if given},
-    )
+    return SensorConfig(**dict(parts), truth="truth" in sensors)
 
 
-def _named(name: str) -> CameraConfig | LidarConfig | None:
-    """Return the settings of a sensor by its name; None for own motion."""
-    match = re.fullmatch(r"(stereo|mono|left)([0-9]{1,4})x([0-9]{1,4})", name)
-    if match is not None:
+def _part(sensor: Sensor) -> tuple[str, Any]:
+    """Return which field of a SensorConfig a sensor is, and its value."""
+    if isinstance(sensor, CameraConfig | LidarConfig):
+        return "camera" if isinstance(sensor, CameraConfig) else "lidar", sensor
+    name = sensor if isinstance(sensor, str) else ""
+    if match := re.fullmatch(r"(stereo|mono|left)([0-9]{1,4})x([0-9]{1,4})", name):
         eyes, width, height = match.groups()
-        return CameraConfig(int(width), int(height), eyes=eyes)  # type: ignore
+        return "camera", CameraConfig(int(width), int(height), eyes=eyes)  # type: ignore
     if name == "stereo":
-        return CameraConfig()
+        return "camera", CameraConfig()
     if name in ("lidar", "sectors", "discretised"):
-        return LidarConfig(form="ranges" if name == "lidar" else name)  # type: ignore
-    if name == "motion":
-        return None
-    raise ConfigError(_no_sensor(name))
+        return "lidar", LidarConfig(form="ranges" if name == "lidar" else name)  # type: ignore
+    if match := re.fullmatch(r"(history|frames)([0-9]{1,3})", name):
+        return match[1], int(match[2])
+    raise ConfigError(_no_sensor(sensor))
 
 
 def _of_cars(sensors: Sensors, num_cars: int) -> tuple[SensorConfig, ...]:
@@ -259,10 +224,6 @@ def _no_sensor(value: object) -> str:
 
 
 def check_whole(what: str, value: object, least: int) -> None:
-    """Check an argument that is a count.
-
-    Raises:
-        ConfigError: it is no whole number, or too small.
-    """
+    """Check an argument that is a count; ConfigError if it is no whole number, or too small."""
     if not isinstance(value, int) or isinstance(value, bool) or value < least:
         raise ConfigError(f"{what} is {brief(value)}: give a whole number, {least} or more")

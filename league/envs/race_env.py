@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from league.envs import episodes, rewards, scenarios
+from league.envs import episodes, observations, rewards, scenarios
 from league.envs import step as stages
 from league.envs.config import EnvConfig, RewardConfig, Scenarios
 from league.envs.rewards import Reward
@@ -36,24 +36,16 @@ class Step:
     The arrays belong to the environment, which overwrites them at the next step: copy what is kept.
     """
 
-    observations: Observations
-    """For each car its groups, of the worlds after restarts."""
-    rewards: np.ndarray
-    """Weighted sum of the reward terms, of the worlds before restarts, float32."""
-    terminated: np.ndarray
-    """The car has finished, or in training made a mistake, bool."""
-    truncated: np.ndarray
-    """Time is up, bool."""
-    verdicts: np.ndarray
-    """The referee's findings, VERDICT records."""
-    log: Mapping[str, np.ndarray]
-    """Each weighted reward term by name, float32."""
-    began: np.ndarray
-    """The car began another episode by the end of the step, bool."""
+    observations: Observations  # for each car its groups, of the worlds after restarts
+    rewards: np.ndarray  # weighted sum of the reward terms, of the worlds before restarts, float32
+    terminated: np.ndarray  # the car has finished, or in training made a mistake, bool
+    truncated: np.ndarray  # time is up, bool
+    verdicts: np.ndarray  # the referee's findings, VERDICT records
+    log: Mapping[str, np.ndarray]  # each weighted reward term by name, float32
+    began: np.ndarray  # the car began another episode by the end of the step, bool
+    # in training with scenarios: another car was within 1.5 m along the track, bool
     near: np.ndarray
-    """In training with scenarios: another car was within 1.5 m along the track, bool."""
-    attack: np.ndarray
-    """There: how the car's attack ended in this step, uint8; see scenarios.py."""
+    attack: np.ndarray  # there: how the car's attack ended in this step, uint8; see scenarios.py
 
 
 class RaceEnv:
@@ -154,16 +146,13 @@ class RaceEnv:
         built_in = {
             name: self._terms[..., rewards.TERMS.index(name)] for name in self.cfg.reward.terms
         }
+        same = ("terminated", "truncated", "began", "near", "attack")
         return Step(
             observations=self._sensors.groups(self._world, self._motions),
             rewards=self._outcomes["reward"],
-            terminated=self._outcomes["terminated"],
-            truncated=self._outcomes["truncated"],
             verdicts=self._verdicts,
             log=built_in if self._reward is None else {},
-            began=self._outcomes["began"],
-            near=self._outcomes["near"],
-            attack=self._outcomes["attack"],
+            **{name: self._outcomes[name] for name in same},
         )
 
     @property
@@ -293,16 +282,31 @@ class RaceEnv:
         return self._result
 
     def restart(self, worlds: np.ndarray, seeds: ArrayLike) -> None:
-        """Start some races again between two steps, as `reset` would; the others stay.
-
-        Args:
-            worlds: the races, bool, (num_worlds,).
-            seeds: their seeds (those of others are not read), int64, (num_worlds,).
-        """
+        """Start some races again between two steps; bool and int64 seeds, both (num_worlds,)."""
         self._check_open()
         which = np.flatnonzero(worlds)
         self._start(which, np.asarray(seeds, np.int64)[which])
         self._sensors.observe_again(self._world, which)
+
+    def restore(self, snapshot: World) -> None:
+        """Go on from a snapshot, as a search over actions does.
+
+        Args:
+            snapshot: `world.copy()` of an earlier moment, or `rows` of it, as many worlds as here.
+
+        Raises:
+            ConfigError: sensors, Bullet and training keep more than the records of a snapshot.
+        """
+        if self._solver is not None or self._sensors.carries or self.cfg.mode != "race":
+            raise ConfigError(
+                "only races in the planar solver without sensors go on from a snapshot: give "
+                "mode 'race', solver 'planar' and cars without camera, lidar and history"
+            )
+        for name in ("worlds", "cars", "obstacles"):
+            getattr(self._world, name)[:] = getattr(snapshot, name)
+        for car, motion in enumerate(self._motions):
+            observations.motions(np.ascontiguousarray(self._world.cars[:, car]), motion)
+        self._sensors.observe(self._world)
 
     def _run_in_parts(self, actions: np.ndarray) -> None:
         """Run a step with Bullet's physics, or with a reward written in Python."""
@@ -311,9 +315,7 @@ class RaceEnv:
             self._run(stages.PREPARE | stages.PHYSICS | stages.JUDGE, actions)
         else:
             self._run(stages.PREPARE, actions)
-            self._solver.step(
-                world.cars, world.obstacles, world.worlds, self._controls, self._contacts
-            )
+            self._solver.step(world, self._controls, self._contacts)
             self._run(stages.JUDGE, actions)
         if self._reward is not None:
             before = replace(world, cars=self._before)
@@ -343,8 +345,8 @@ class RaceEnv:
 
     def retire(self, car: int | slice, world: int | slice = slice(None)) -> None:
         """End a car's race, in all worlds or one: it is frozen for good, without contacts."""
-        self._world.cars["retired"][world, car] = True
-        self._world.cars["ghost"][world, car] = True
+        for name in ("retired", "ghost"):
+            self._world.cars[name][world, car] = True
 
     def close(self) -> None:
         """Release the solver's resources; the environment cannot be used afterwards."""
@@ -368,7 +370,8 @@ class RaceEnv:
         seeds = np.asarray(seeds, np.int64)
         if seeds.shape != (self.num_worlds,):
             raise ValueError(f"seeds have shape {seeds.shape}: give ({self.num_worlds},)")
-        limit_s = time_limit(self.tracks, self.cfg, self._world.track)
+        rules, length = self.cfg.sim.rules, self.tracks.length[self._world.track]
+        limit_s = rules.max_time_s or 30.0 + rules.laps * length.astype(np.float64) / 0.25
         # In whole steps, so that no rounding adds one: 2 s are 30 steps.
         self._world.worlds["last_step"] = np.ceil(limit_s * self.cfg.sim.step_hz - 1e-2)
         self._sensors.reset()
@@ -402,11 +405,3 @@ class RaceEnv:
     def _check_open(self) -> None:
         if self._closed:
             raise ConfigError("the environment was closed: make a new one")
-
-
-def time_limit(tracks: TrackSet, cfg: EnvConfig, track: np.ndarray) -> np.ndarray:
-    """Return when each race is stopped [s], (num_worlds,)."""
-    rules, length = cfg.sim.rules, tracks.length[track].astype(np.float64)
-    if rules.max_time_s > 0:
-        return np.full_like(length, rules.max_time_s)
-    return 30.0 + rules.laps * length / 0.25

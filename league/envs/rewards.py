@@ -1,14 +1,10 @@
 """Rewards: the protocol, the weighted sum of compiled terms, and the racing-line reward."""
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
-from __future__ import annotations
-
 from dataclasses import fields
 from typing import Protocol
 
 import numpy as np
+from numpy import ndarray
 
 from league.envs.config import RewardConfig
 from league.errors import ConfigError, nearest_names
@@ -33,22 +29,19 @@ three of the own way, a pass two seconds of racing, and leaving the road more th
 touching costs little and running into another car much, or passing is never learnt
 (docs/self_play.md)."""
 
-TERMS = tuple(item.name for item in fields(RewardConfig))
-"""Names of the built-in terms, in order."""
+TERMS = tuple(item.name for item in fields(RewardConfig))  # names of the built-in terms, in order
 NEAR = f32(1.5)
 """Distance along the track within which another car is near, and gaining on it pays [m]."""
-RACING_LINE = "racing_line"
-"""Name of the reward that is no preset, and of its term."""
-MOST_TRACKS = 64
-"""Most tracks of which the racing line is computed."""
-FAR = 0.7
-"""Distance to the racing line at which its term becomes 0 [m]."""
-SLOW = 1.4
-"""Difference to the racing line's speed at which its term becomes 0 [m/s]."""
-ROWS = 1024
-"""Rows of a line's table."""
+RACING_LINE = "racing_line"  # name of the reward that is no preset, and of its term
+MOST_TRACKS = 64  # most tracks of which the racing line is computed
+FAR = 0.7  # distance to the racing line at which its term becomes 0 [m]
+SLOW = 1.4  # difference to the racing line's speed at which its term becomes 0 [m/s]
+ROWS = 1024  # rows of a line's table
 _ZERO, _ONE, _HALF, _QUARTER, _TENTH = f32(0.0), f32(1.0), f32(0.5), f32(0.25), f32(0.1)
 _LEAST_BAND = f32(0.001)
+
+Paid = tuple[ndarray, dict[str, ndarray]]
+"""What a Reward returns for a step."""
 
 
 class Reward(Protocol):
@@ -60,13 +53,8 @@ class Reward(Protocol):
         ...
 
     def __call__(
-        self,
-        tracks: TrackSet,
-        before: World,
-        world: World,
-        actions: np.ndarray,
-        verdicts: np.ndarray,
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray
+    ) -> Paid:
         """Return each car's reward and each term of it by name, all (num_worlds, num_cars).
 
         Args:
@@ -78,17 +66,13 @@ class Reward(Protocol):
         """
         ...
 
-    def restart(self, world: World, begun: np.ndarray, /) -> None:
+    def restart(self, world: World, begun: ndarray, /) -> None:
         """Note which cars begin an episode in this world, bool, (num_worlds, num_cars)."""
         ...
 
 
 def preset(name: str) -> RewardConfig:
-    """Return the weights of a preset: `centerline`, `progress` or `race`.
-
-    Raises:
-        ConfigError: there is no preset of this name.
-    """
+    """Return the weights of `centerline`, `progress` or `race`; ConfigError for others."""
     if name not in PRESETS:
         raise ConfigError(
             f"there is no built-in reward {name!r}; "
@@ -99,11 +83,7 @@ def preset(name: str) -> RewardConfig:
 
 
 def check_name(name: str, num_tracks: int) -> None:
-    """Check that there is a built-in reward of this name for so many tracks.
-
-    Raises:
-        ConfigError: there is none, or there are too many tracks for it.
-    """
+    """Check that a built-in reward is for so many tracks; ConfigError says why not."""
     if name != RACING_LINE:
         preset(name)
     elif num_tracks > MOST_TRACKS:
@@ -115,15 +95,11 @@ def check_name(name: str, num_tracks: int) -> None:
 
 
 def built_in(name: str, tracks: TrackSet, car: CarConfig) -> Reward:
-    """Return a built-in reward: one of the presets, or `racing_line`.
-
-    Raises:
-        ConfigError: there is none of this name, or too many tracks for it.
-    """
+    """Return a preset, or `racing_line`, as a Reward; ConfigError as `check_name`."""
     return RacingLineReward(tracks, car) if name == RACING_LINE else BuiltIn(preset(name))
 
 
-def weights(cfg: RewardConfig) -> np.ndarray:
+def weights(cfg: RewardConfig) -> ndarray:
     """Return the weights in the order of TERMS, float32 (num_terms,)."""
     return np.array([getattr(cfg, name) for name in TERMS], np.float32)
 
@@ -132,33 +108,27 @@ class BuiltIn:
     """The built-in terms as a Reward in Python, for rewards that add to them."""
 
     def __init__(self, cfg: RewardConfig) -> None:
-        self.terms = cfg.terms
+        self.terms = self._summed = cfg.terms
         self._weight = weights(cfg)
 
     def __call__(
-        self,
-        tracks: TrackSet,
-        before: World,
-        world: World,
-        actions: np.ndarray,
-        verdicts: np.ndarray,
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray
+    ) -> Paid:
         """Return the weighted sum and each weighted term; see Reward."""
-        columns = np.empty((*world.cars.shape, len(TERMS)), np.float32)
-        _pay_all(
-            world.cars, world.worlds, verdicts, columns, self._weight, tracks.points, tracks.courses
-        )
-        terms = {name: columns[..., TERMS.index(name)] for name in self.terms}
-        total = np.zeros(world.cars.shape, np.float32)
+        cars, columns = world.cars, np.empty((*world.cars.shape, len(TERMS)), np.float32)
+        courses = tracks.points, tracks.courses
+        _pay_all(cars, world.worlds, verdicts, columns, self._weight, *courses)
+        terms = {name: columns[..., TERMS.index(name)] for name in self._summed}
+        total = np.zeros(cars.shape, np.float32)
         for value in terms.values():
             total += value
         return total, terms
 
-    def restart(self, world: World, begun: np.ndarray) -> None:
+    def restart(self, world: World, begun: ndarray) -> None:
         """Nothing: it keeps no state."""
 
 
-class RacingLineReward:
+class RacingLineReward(BuiltIn):
     """`progress`, and up to 1 in each step for being on the racing line at its speed.
 
     Without it, a driver that brakes too late learns of it only by its lap time, a second later. The
@@ -169,27 +139,18 @@ class RacingLineReward:
     """
 
     def __init__(self, tracks: TrackSet, car: CarConfig) -> None:
-        """Compute the line of each track.
-
-        Raises:
-            ConfigError: too many tracks.
-        """
+        """Compute the line of each track; ConfigError for too many tracks."""
         check_name(RACING_LINE, len(tracks.tracks))
-        self._progress = BuiltIn(PRESETS["progress"])
-        self.terms = (*self._progress.terms, RACING_LINE)
+        super().__init__(PRESETS["progress"])
+        self.terms = (*self.terms, RACING_LINE)
         table = np.stack([_line_table(track, car) for track in tracks.tracks])
         self._table = table.astype(np.float32)
 
     def __call__(
-        self,
-        tracks: TrackSet,
-        before: World,
-        world: World,
-        actions: np.ndarray,
-        verdicts: np.ndarray,
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray
+    ) -> Paid:
         """Return each car's reward and each term of it; see Reward."""
-        total, terms = self._progress(tracks, before, world, actions, verdicts)
+        total, terms = super().__call__(tracks, before, world, actions, verdicts)
         cars, index = world.cars, world.track[:, None]
         lateral, line_speed = self.line_at(index, cars["s"] / tracks.length[index])
         aside = (cars["lateral"] - lateral) / np.float32(FAR)
@@ -199,10 +160,7 @@ class RacingLineReward:
         near = np.where(verdicts["advance"] > 0, near, np.float32(0.0))
         return total + near, terms | {RACING_LINE: near}
 
-    def restart(self, world: World, begun: np.ndarray) -> None:
-        """Nothing: it keeps no state."""
-
-    def line_at(self, index: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def line_at(self, index: ndarray, share: ndarray) -> tuple[ndarray, ndarray]:
         """Return lateral place [m] and speed [m/s] of a track's line at a share of the lap."""
         place = (share * np.float32(ROWS)).clip(0.0, ROWS - 1e-3)
         low = place.astype(np.int64)
@@ -212,7 +170,7 @@ class RacingLineReward:
         return row[..., 0], row[..., 1]
 
 
-def _line_table(track: Track, car: CarConfig) -> np.ndarray:
+def _line_table(track: Track, car: CarConfig) -> ndarray:
     """Return the line's place and speed at ROWS + 1 places from start to end, (ROWS + 1, 2)."""
     from league.racing_line.racing_line import optimal_line  # late: SciPy takes a while
 

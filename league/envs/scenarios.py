@@ -5,9 +5,6 @@ group, and mostly starts last; the others obey lower top speeds, so that there i
 Whether the attack of the first group succeeds is reported for the curriculum (training/racing).
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 
 import numpy as np

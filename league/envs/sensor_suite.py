@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from league.envs import observations, state, truth
+from league.envs import observations, state
 from league.envs.config import EnvConfig
 from league.envs.step import over_worlds
 from league.sim.config import FRAME_STEPS, CameraConfig
@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # OpenCV comes late
 Reading = Callable[[World, int, np.ndarray | None], np.ndarray]
 _COMPUTED: dict[str, tuple[Callable[..., int], int]] = {
     "state": (observations.states, state.SIZE),
-    "truth": (truth.truths, truth.SIZE),
+    "truth": (observations.truths, observations.TRUTH_SIZE),
 }
 """Loop and size of the groups that are computed on access."""
 
@@ -66,7 +66,8 @@ class SensorSuite:
         """What each car is given: its last readings, with the earlier ones that it keeps."""
         self._history = [cfg.sensors_of(car).history for car in range(cfg.sim.num_cars)]
         self._frames = [cfg.sensors_of(car).frames for car in range(cfg.sim.num_cars)]
-        self._carries = any(self._sensors) or any(self._history)
+        self.carries = any(self._sensors) or any(self._history)
+        """Whether any car keeps readings."""
         self.sees_truth = [cfg.sensors_of(car).truth for car in range(cfg.sim.num_cars)]
         self._computed: dict[str, np.ndarray] = {}
         self._fresh: set[str] = set()
@@ -82,20 +83,17 @@ class SensorSuite:
 
     def refresh(self, cars: np.ndarray) -> None:
         """Read the sensors of these cars next time, due or not; bool, (num_worlds, num_cars)."""
-        if self._carries and cars.any():
+        if self.carries and cars.any():
             self._stale = cars.copy() if self._stale is None else self._stale | cars
 
     def refresh_after(self, verdicts: np.ndarray) -> None:
         """Read the sensors of the cars that the referee has moved next time, due or not."""
-        if self._carries:
+        if self.carries:
             thrown = verdicts["forced_off"] & (verdicts["crashed_obstacle"] != NOBODY)
             self.refresh(verdicts["crashed"] | verdicts["released"] | thrown)
 
     def groups(self, world: World, motions: np.ndarray) -> tuple[Groups, ...]:
-        """Return each car's groups, views of the last readings and of the live worlds.
-
-        Own motion is float32 (num_cars, num_worlds, 5).
-        """
+        """Return each car's groups, views of live data; motions is (num_cars, num_worlds, 5)."""
         return tuple(Groups(self, car, world, motions) for car in range(len(self.held)))
 
     def computed(self, name: str, world: World) -> np.ndarray:
@@ -113,7 +111,7 @@ class SensorSuite:
     def observe(self, world: World) -> None:
         """Read what is due, on each race's own clock: a race in a batch equals that race alone."""
         self._fresh.clear()
-        if self._carries:
+        if self.carries:
             self.read(world)
 
     def read(self, world: World) -> tuple[Mapping[str, np.ndarray], ...]:
@@ -179,9 +177,8 @@ class SensorSuite:
         self._stale = None
         for car, sensors in enumerate(self._sensors):
             for name, (_, read) in sensors.items():
-                self._readings[car][name] = _with(
-                    self._readings[car][name], rows, read(world, car, rows)
-                )
+                kept = self._readings[car][name]
+                self._readings[car][name] = _with(kept, rows, read(world, car, rows))
         for car, length in enumerate(self._history):
             given = {} | self._readings[car]
             if self._frames[car] > 1:

@@ -6,9 +6,6 @@ Observations describe the state after penalties and restarts; verdicts and rewar
 happened in the step. Bullet, and rewards written in Python, take the stages apart (`phases`).
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 import os
 from collections.abc import Callable
@@ -22,7 +19,6 @@ from league.envs import observations, rewards, scenarios
 from league.jit import compiled, inner
 from league.portable_math import f32
 from league.sim import grid, referee
-from league.sim import obstacles as obstacle_kernels
 from league.sim.physics import planar
 
 PREPARE, PHYSICS, JUDGE, SETTLE = 1, 2, 4, 8
@@ -73,32 +69,23 @@ def step(
     settings,
     episodes,
 ):
-    """Drive the worlds from `first` to `last` for one control step.
+    """Drive the worlds from `first` to before `last` for one control step.
 
-    Args:
-        first: first world.
-        last: world behind the last one.
+    Records and what belongs to them, of all worlds:
         phases: which stages to run, PREPARE to SETTLE.
         actions: steering and speed in [-1, 1], float32 (num_worlds, num_cars, 2).
-        cars: CAR records (num_worlds, num_cars).
-        before: set to the CAR records before the step.
-        obstacles: OBSTACLE records (num_worlds, num_obstacles).
-        arrivals: scratch of the same shape.
-        worlds: WORLD records (num_worlds,).
+        cars: CAR records (num_worlds, num_cars); of the same shape are contacts, verdicts,
+            outcomes, and `before`, which is set to the cars before the step.
+        obstacles: OBSTACLE records (num_worlds, num_obstacles); `arrivals` is scratch like it.
+        worlds: WORLD records (num_worlds,); `encounters` are those of training where cars meet.
         controls: set to target steering [rad] and speed [m/s], float32 (num_worlds, num_cars, 2).
-        contacts: CONTACT records (num_worlds, num_cars).
-        verdicts: VERDICT records (num_worlds, num_cars).
-        outcomes: OUTCOME records (num_worlds, num_cars).
-        encounters: ENCOUNTER records (num_worlds,), of training where cars meet.
         terms: weighted terms of the reward, float32 (num_worlds, num_cars, num_terms).
         motions: set to the `motion` group, float32 (num_cars, num_worlds, 5).
         weight: weights of the terms, float32 (num_terms,); of length 0: the reward is Python's.
-        points: of the TrackSet.
-        courses: of the TrackSet.
+        points, courses: of the TrackSet.
         places: fixed places of obstacles, float32 (num_obstacles, 2), or (0, 2).
         pairs: planar.schedule.
-        settings: SETTINGS record, shape (1,).
-        episodes: EPISODES record, shape (1,).
+        settings, episodes: SETTINGS and EPISODES records, shape (1,).
 
     Returns:
         FINE; or BAD_ACTION or BAD_STATE plus 4 times the number of the first bad car, counted
@@ -123,12 +110,14 @@ def step(
                 share = (actions[w, c, 1] + _ONE) * _HALF
                 speed = sim.min_speed + share * (sim.max_speed - sim.min_speed)
                 controls[w, c, 1] = min(speed, cars[w, c].top_speed)
-            obstacle_kernels.aim(things, arrivals[w], world, points, course, places, sim)
+            grid.aim_obstacles(things, arrivals[w], world, points, course, places, sim)
         if phases & PHYSICS:
             planar.step_world(cars[w], things, course, controls[w], contacts[w], pairs, sim)
         if phases & JUDGE:
             for c in range(num_cars):
-                if not _is_finite(cars[w, c]):
+                car = cars[w, c]
+                motion = car.x + car.y + car.yaw + car.velocity_x + car.velocity_y + car.yaw_rate
+                if not math.isfinite(motion):
                     return BAD_STATE + 4 * (w * num_cars + c)
                 cars[w, c].target_steering = controls[w, c, 0]
                 cars[w, c].target_speed = controls[w, c, 1]
@@ -137,12 +126,11 @@ def step(
             for k in range(len(things)):
                 things[k] = arrivals[w, k]
             world.step += 1
-            referee.judge(
-                before[w], cars[w], things, world, verdicts[w], contacts[w], points, course, sim
-            )
-            referee.stop_bots(cars[w], things, verdicts[w], sim)
+            seen = verdicts[w]
+            referee.judge(before[w], cars[w], things, world, seen, contacts[w], points, course, sim)
+            referee.stop_bots(cars[w], things, seen, sim)
             if len(weight):
-                rewards.pay(cars[w], verdicts[w], terms[w], weight, points, course)
+                rewards.pay(cars[w], seen, terms[w], weight, points, course)
                 _sum_terms(terms[w], outcomes[w])
         if phases & SETTLE:
             if rules.training:
@@ -180,29 +168,20 @@ def reset(
     settings,
     episodes,
 ):
-    """Start the races of some worlds: on the grid, or in training wherever episodes begin.
-
-    `which` holds these worlds, int64 (num_started,); their seeds and tracks have been set. For the
-    rest see `step`.
-    """
+    """Start the races of the worlds `which`, int64; their seeds and tracks have been set."""
     sim, rules = settings[0], episodes[0]
     for n in range(len(which)):
         w = which[n]
         world, course = worlds[w], courses[worlds[w].track]
         grid.start(cars[w], obstacles[w], world, points, course, places, sim)
         if rules.training:
-            episode_kernels.begin_all(
-                encounters[w], cars[w], obstacles[w], world, points, course, places, sim, rules
+            all_cars, things = (1 << cars.shape[1]) - 1, obstacles[w]
+            episode_kernels.begin(
+                all_cars, encounters[w], cars[w], things, world, points, course, places, sim, rules
             )
         for c in range(cars.shape[1]):
             episode_kernels.encode(cars[w, c], sim)
             observations.motion(cars[w, c], motions[c, w])
-
-
-@inner
-def _is_finite(car):
-    total = car.x + car.y + car.yaw + car.velocity_x + car.velocity_y + car.yaw_rate
-    return math.isfinite(total)
 
 
 @inner
@@ -239,8 +218,7 @@ def _end_episodes(cars, verdicts, outcomes, rules):
     return done
 
 
-CARS_PER_THREAD = 256
-"""Fewest cars that are worth another thread."""
+CARS_PER_THREAD = 256  # fewest cars that are worth another thread
 
 
 def over_worlds(
@@ -248,10 +226,9 @@ def over_worlds(
 ) -> int:
     """Run a compiled loop over all worlds; return its first result that is not 0, else 0.
 
-    Many worlds are shared out among threads; each drives worlds of its own, so results do not
-    depend on their number. They are Python threads, because compiled code releases the interpreter
-    and they survive a fork, unlike OpenMP's. The loop takes the first world, the world behind the
-    last one, and the arguments.
+    It takes the first world, the world behind the last one, and the arguments. Many worlds are
+    shared out among Python threads: compiled code releases the interpreter, and they survive a
+    fork, unlike OpenMP's. Results do not depend on their number.
     """
     if num_worlds * num_cars < 2 * CARS_PER_THREAD or (threads := num_threads()) == 1:
         return loop(0, num_worlds, *arguments)

@@ -31,7 +31,6 @@ class CupResult:
     """How an entrant did in a heat."""
 
     entry: str
-    """Id of the entry."""
     seed: int
     """Its place after qualifying, from 1; 0 in qualifying."""
     places: tuple[int, ...] = ()
@@ -75,7 +74,9 @@ class Bracket:
 
     stages: tuple[CupStage, ...]
     """Qualifying first; later stages appear when the one before is over."""
-    order: tuple[str, ...]
+    due: Sequence[Heat]
+    """The heats of the last of them."""
+    order: tuple[str, ...] = ()
     """Ids of the entries by how far they came, the winner first; empty before the end."""
 
 
@@ -132,18 +133,13 @@ def advance(store: Store) -> int:
     for cup in store.cups():
         if cup.ended_s is not None:
             continue
-        now, due = _computed(store, cup)
+        now = bracket(store, cup)
         if any(heat.number is None for heat in now.stages[-1].heats):
-            planned += store.plan(due)
+            planned += store.plan(now.due)
         if now.order:
             names = {entry.id: entry for entry in store.entries()}
             store.freeze(cup, document(cup, now, names))
     return planned
-
-
-def bracket(store: Store, cup: Cup) -> Bracket:
-    """Return a cup as far as it has come."""
-    return _computed(store, cup)[0]
 
 
 def document(cup: Cup, bracket: Bracket, entries: Mapping[str, LeagueEntry]) -> dict[str, Any]:
@@ -157,15 +153,15 @@ def document(cup: Cup, bracket: Bracket, entries: Mapping[str, LeagueEntry]) -> 
     return {"cup": about, "stages": stages, "order": order}
 
 
-def _computed(store: Store, cup: Cup) -> tuple[Bracket, list[Heat]]:
-    """Return a cup as far as it has come, and the heats of the stage that is being raced."""
+def bracket(store: Store, cup: Cup) -> Bracket:
+    """Return a cup as far as it has come."""
     rules = store.rulesets()
     qualifying, knock_out = (rules[cup.settings[name]] for name in ("qualifying", "knock_out"))
     entrants = cup.settings["entrants"]
     due = _heats(cup, qualifying, [(entry,) for entry in entrants], 0, stage=0)
     stages = [_qualified(cup, _stage(store, "Qualifying", due))]
     if not stages[0].over:
-        return Bracket(tuple(stages), ()), due
+        return Bracket(tuple(stages), due)
     seeds = [heat.runs[0].entry for heat in stages[0].heats]
     seed_of = {entry: place for place, entry in enumerate(seeds, 1)}
     groups, used = _groups(seeds[: field_size(len(seeds))]), len(entrants)
@@ -175,10 +171,13 @@ def _computed(store: Store, cup: Cup) -> tuple[Bracket, list[Heat]]:
         through = ADVANCE if len(groups) > 1 else 1
         stages.append(_stage(store, stage_name(len(groups)), due, seed_of, through))
         if not stages[-1].over:
-            return Bracket(tuple(stages), ()), due
+            return Bracket(tuple(stages), due)
         if len(groups) == 1:
-            return Bracket(tuple(stages), _order(stages)), due
-        groups = _next_groups(stages[-1], seed_of)
+            return Bracket(tuple(stages), due, _order(stages))
+        # Those who advance from the first and the last heat meet, and so on.
+        passed = [[run.entry for run in heat.runs[:ADVANCE]] for heat in stages[-1].heats]
+        pairs = zip(passed[: len(passed) // 2], reversed(passed), strict=False)
+        groups = [tuple(sorted(one + other, key=seed_of.__getitem__)) for one, other in pairs]
 
 
 def field_size(entrants: int) -> int:
@@ -195,13 +194,6 @@ def _groups(seeds: Sequence[str]) -> list[tuple[str, ...]]:
         return [tuple(seeds)]
     picked = [(h, 2 * heats - 1 - h, 2 * heats + h, 4 * heats - 1 - h) for h in range(heats)]
     return [tuple(seeds[index] for index in one) for one in picked]
-
-
-def _next_groups(stage: CupStage, seed_of: Mapping[str, int]) -> list[tuple[str, ...]]:
-    """Return the next heats: those who advance from the first and the last heat meet, and so on."""
-    through = [[run.entry for run in heat.runs[:ADVANCE]] for heat in stage.heats]
-    pairs = zip(through[: len(through) // 2], reversed(through), strict=False)
-    return [tuple(sorted(one + other, key=seed_of.__getitem__)) for one, other in pairs]
 
 
 def stage_name(heats: int) -> str:
@@ -246,9 +238,9 @@ def _stage(
         done = results.get(record.number, []) if record else []
         runs = [_run(heat, entry, seed_of.get(entry, 0), done) for entry in heat.halves[0].grid]
         if done and seed_of:
-            runs = _classified(runs, through)
-        state = record.state if record else None
-        number = record.number if record else None
+            runs.sort(key=lambda run: (sum(run.places), run.seed))
+            runs = [replace(run, advances=at < through) for at, run in enumerate(runs)]
+        number, state = (record.number, record.state) if record else (None, None)
         heats.append(CupHeat(number, state, heat.halves[0].track, tuple(runs)))
     return CupStage(name, tuple(heats))
 
@@ -260,12 +252,6 @@ def _run(heat: Heat, entry: str, seed: int, done: Sequence[Any]) -> CupResult:
         return CupResult(entry, seed, places)
     (row,) = done[0].result["order"]
     return CupResult(entry, 0, places, min(row["lap_times_s"], default=None), row["distance"])
-
-
-def _classified(runs: Sequence[CupResult], through: int) -> list[CupResult]:
-    """Return the runs of a heat, best first: by the sum of places, then by qualifying."""
-    ordered = sorted(runs, key=lambda run: (sum(run.places), run.seed))
-    return [replace(run, advances=at < through) for at, run in enumerate(ordered)]
 
 
 def _qualified(cup: Cup, stage: CupStage) -> CupStage:

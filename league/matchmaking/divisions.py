@@ -26,7 +26,6 @@ class SeasonSettings:
     """What a season's organiser may choose."""
 
     division_size: int = 20
-    """Entries of a division."""
     least_safety: float = 2.0
     """Safety rating that the top division asks for; 0 for none."""
 
@@ -106,7 +105,9 @@ class _Table:
         for entry in self.order:
             if entry not in self.division:
                 self._put(entry, lowest or 2, "new" if lowest else "start")
-        self._relegate_unsafe()
+        for entry in self._in(1):
+            if not self._may_enter(entry, 1, SAFETY_MARGIN):
+                self._put(entry, 2, "safety")
         division = 1
         while division <= max(self.division.values(), default=0):
             self._size(division)
@@ -128,11 +129,6 @@ class _Table:
         if division > 1 or one is None or not one.known:
             return True
         return one.rating >= self.settings.least_safety - margin
-
-    def _relegate_unsafe(self) -> None:
-        for entry in self._in(1):
-            if not self._may_enter(entry, 1, SAFETY_MARGIN):
-                self._put(entry, 2, "safety")
 
     def _size(self, division: int) -> None:
         """Bring a division to its size: from below while it has room, or to below."""

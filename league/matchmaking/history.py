@@ -12,7 +12,7 @@ from league.matchmaking.ratings import Carried, RatingData, refit
 from league.matchmaking.ratings.pair_counts import ELO, changes
 from league.matchmaking.ratings.table import SIGMAS_95, expected_score
 from league.matchmaking.scope import scope
-from league.matchmaking.standings import Standings
+from league.matchmaking.standings import OwnRaces, Standings
 from league.matchmaking.store import LeagueEntry, Store
 
 TREND_HEATS = 50
@@ -61,9 +61,10 @@ def history(store: Store, entry: LeagueEntry, *, points: int = 20) -> list[Histo
         own = np.array(sorted(heats - {0}), dtype=np.int64)
         for heat in own[season.has(own)] if season else own:
             before = standings.results_of(within.races, before=heat + 1)
-            fitted = standings.rated(before, entries, carried=within.carried)
-            if fitted is None or entry.number not in fitted.entries:
+            found = standings.rated(before, entries, carried=within.carried)
+            if found is None or entry.number not in found[1].entries:
                 continue
+            fitted = found[1]
             at = fitted.index(entry.number)
             moments.append(
                 HistoryPoint(
@@ -94,12 +95,12 @@ def trends(rated: Standings, carried: Carried | None) -> dict[int, float]:
     return dict(zip(data.entries[raced].tolist(), changed[raced].tolist(), strict=True))
 
 
-def own_history(rated: Standings, number: int, *, points: int = 20) -> list[HistoryPoint]:
+def own_history(rated: Standings, own: OwnRaces, *, points: int = 20) -> list[HistoryPoint]:
     """Return an entry's rating over its heats, all others rated as they are now.
 
     It takes milliseconds in a league of any size; `history` fits all ratings for each point.
     """
-    ratings, own = rated.ratings, standings.own_races(rated.races, rated.ratings, number)
+    ratings = rated.ratings
     needed = own.strengths - ratings.slot_advantages[own.slot]  # a rating at which the two are even
     middle, spread = float(ratings.elo.mean()), ratings.prior_sd
     heats = own.races.heat
@@ -111,8 +112,8 @@ def own_history(rated: Standings, number: int, *, points: int = 20) -> list[Hist
         HistoryPoint(int(heats[count - 1]), count, elo, elo - SIGMAS_95 * sd, elo + SIGMAS_95 * sd)
         for count, elo, sd in zip(picked.tolist(), elos.tolist(), sds.tolist(), strict=True)
     ]
-    now = ratings.line(ratings.index(number), "elo", "low95", "high95")
-    return [*moments[:-1], HistoryPoint(int(rated.races.heat.max()), len(heats), **now)]
+    now = ratings.line(ratings.index(own.number), "elo", "low95", "high95")
+    return [*moments[:-1], HistoryPoint(rated.newest_heat, len(heats), **now)]
 
 
 def _own_ratings(

@@ -73,8 +73,7 @@ def run(
         stop: called at each step; once it returns True no heat is begun.
         watch: called after each step.
     """
-    tally, began_s, planned_s = Tally(), time.monotonic(), 0.0
-    due = True
+    tally, began_s, planned_s, due = Tally(), time.monotonic(), 0.0, True
     while True:
         now_s = time.monotonic()
         over = stop() or (seconds is not None and now_s - began_s > seconds)

@@ -10,8 +10,8 @@ import numpy as np
 
 from league.matchmaking import standings
 from league.matchmaking.ratings.pair_counts import changes
-from league.matchmaking.ratings.table import SIGMAS_95
-from league.matchmaking.standings import Standings, Strengths
+from league.matchmaking.ratings.table import SIGMAS_95, Strengths
+from league.matchmaking.standings import OwnRaces, Standings
 from league.matchmaking.store import BEST_MS, CLEAN, Races, Season, Store
 from league.sim.config import RaceKind
 
@@ -21,7 +21,6 @@ class RaceScore:
     """An entry's rated race."""
 
     heat: int
-    """Number of the heat."""
     race: int
     """Number of the race within the heat, from 1."""
     track: str
@@ -58,9 +57,8 @@ def race_scores(
     return list(map(RaceScore, *columns))
 
 
-def heat_scores(rated: Standings, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def heat_scores(own: OwnRaces) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return an entry's rated heats: numbers, points made, points promised, (heats,) each."""
-    own = standings.own_races(rated.races, rated.ratings, number)
     starts = changes(own.races.heat)
     if not len(starts):
         return own.races.heat, np.zeros(0), np.zeros(0)
@@ -78,27 +76,17 @@ class PastSeason:
     races: Races
     ratings: Strengths
     tracks: Sequence[str]
-    """Tracks of the ruleset."""
 
 
-@dataclass(frozen=True)
-class FinalRatings:
-    """The ratings that a season was frozen with, see `Strengths`."""
-
-    entries: np.ndarray
-    elo: np.ndarray
-    slot_advantages: np.ndarray
-
-    @classmethod
-    def of(cls, document: Mapping[str, Any]) -> FinalRatings:
-        """Return those of a season's document."""
-        table = document["standings"]
-        rows = sorted(table["entries"], key=lambda row: row["number"])
-        return cls(
-            entries=np.array([row["number"] for row in rows]),
-            elo=np.array([row["elo"] for row in rows]),
-            slot_advantages=np.array(table["slot_advantages"]),
-        )
+def final_ratings(document: Mapping[str, Any]) -> Strengths:
+    """Return the ratings that a season was frozen with, from its document."""
+    table = document["standings"]
+    rows = sorted(table["entries"], key=lambda row: row["number"])
+    return Strengths(
+        entries=np.array([row["number"] for row in rows]),
+        elo=np.array([row["elo"] for row in rows]),
+        slot_advantages=np.array(table["slot_advantages"]),
+    )
 
 
 def scores_by_season(
@@ -138,11 +126,8 @@ class BestLap:
     """An entry's fastest clean lap on a track: one of a race in which it made no mistake."""
 
     number: int
-    """Number of the entry."""
     lap_s: float
-    """[s]."""
     heat: int
-    """Number of the heat."""
     race: int
     """Number of the race within the heat, from 1."""
 

@@ -11,7 +11,7 @@ from league.matchmaking import divisions, documents, safety, standings
 from league.matchmaking.divisions import SeasonSettings
 from league.matchmaking.safety import Safety
 from league.matchmaking.scores import BestLap, clean_laps
-from league.matchmaking.standings import Row, Standings
+from league.matchmaking.standings import Standings
 from league.matchmaking.store import Season, Store
 
 
@@ -76,7 +76,6 @@ class Trophy:
 
     title: str
     number: int
-    """Number of the entry."""
     name: str
     owner: str
     value: str
@@ -100,20 +99,27 @@ def trophies(
     The league's own anchors win none.
     """
     own = {row.number: row for row in rated.rows if not row.anchor and row.races}
-    won = [
-        _trophy(title, row, f"{row.elo:.0f} Elo, {row.races} races")
-        for title, row in zip(PLACES, own.values(), strict=False)
-    ]
+    won: list[Trophy] = []
+
+    def award(title: str, number: int, value: str, heat: int = 0) -> None:
+        won.append(Trophy(title, number, own[number].name, own[number].owner, value, heat))
+
+    for title, row in zip(PLACES, own.values(), strict=False):
+        award(title, row.number, f"{row.elo:.0f} Elo, {row.races} races")
     for division in range(2, max(division_of.values(), default=0) + 1):
-        best = next((own[n] for n in own if division_of.get(n) == division), None)
+        best = next((number for number in own if division_of.get(number) == division), None)
         if best is not None:
-            won.append(_trophy(f"Winner of division {division}", best, f"{best.elo:.0f} Elo"))
+            award(f"Winner of division {division}", best, f"{own[best].elo:.0f} Elo")
     known = [number for number in own if number in safe and safe[number].known]
     if known:
         safest = max(known, key=lambda number: (safe[number].rating, own[number].listed_by))
         value = f"{safe[safest].rating:.2f}, {safe[safest].incidents:.1f} points per 100 corners"
-        won.append(_trophy("Safest driver", own[safest], value))
-    return won + _fastest(laps, own) + _cup_winners(store, rated)
+        award("Safest driver", safest, value)
+    for track, fastest in laps.items():
+        lap = next((lap for lap in fastest if lap.number in own), None)
+        if lap is not None:
+            award(f"Fastest clean lap, {track}", lap.number, f"{lap.lap_s:.3f} s", lap.heat)
+    return won + _cup_winners(store, rated)
 
 
 def _cup_winners(store: Store, rated: Standings) -> list[Trophy]:
@@ -128,17 +134,3 @@ def _cup_winners(store: Store, rated: Standings) -> list[Trophy]:
         if not entry.anchor:
             won.append(Trophy(title, entry.number, entry.name, entry.owner, "the final", final))
     return won
-
-
-def _fastest(laps: Mapping[str, Sequence[BestLap]], own: Mapping[int, Row]) -> list[Trophy]:
-    won: list[Trophy] = []
-    for track, fastest in laps.items():
-        lap = next((lap for lap in fastest if lap.number in own), None)
-        if lap is not None:
-            row = own[lap.number]
-            won.append(_trophy(f"Fastest clean lap, {track}", row, f"{lap.lap_s:.3f} s", lap.heat))
-    return won
-
-
-def _trophy(title: str, row: Row, value: str, heat: int = 0) -> Trophy:
-    return Trophy(title, row.number, row.name, row.owner, value, heat)

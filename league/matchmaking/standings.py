@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from league.errors import StoreError, brief
 from league.matchmaking.ratings import Carried, RatingData, Ratings, Results, expected_score, fit
 from league.matchmaking.ratings import updated as updated_ratings
 from league.matchmaking.ratings.goodness_of_fit import Goodness, goodness_of_fit
+from league.matchmaking.ratings.table import Strengths
 from league.matchmaking.scope import RatingScope, Runs, scope
 from league.matchmaking.store import (
     RATED,
@@ -42,7 +43,6 @@ class Row:
     worst_rank: int
     """The worst rank that the races allow."""
     number: int
-    """Entry number."""
     id: str
     name: str
     owner: str
@@ -86,7 +86,6 @@ class Standings:
     rows: tuple[Row, ...]
     """Best first; the provisional ones by rating - 2 sd."""
     ratings: Ratings
-    """The fit."""
     goodness: Goodness
     """Whether one number a driver explains the results."""
     ruleset: str
@@ -98,7 +97,6 @@ class Standings:
     runs: Runs = field(repr=False)
     """How the races of each entry went."""
     tracks: tuple[str, ...] = ()
-    """Tracks of the ruleset."""
     season: Season | None = None
     """The season that the races belong to; None in a league without seasons."""
 
@@ -106,6 +104,20 @@ class Standings:
     def results(self) -> Results:
         """The races as the fit reads them."""
         return results_of(self.races)
+
+    @cached_property
+    def by_number(self) -> dict[int, Row]:
+        """The lines by the entries' numbers, best first."""
+        return {row.number: row for row in self.rows}
+
+    @cached_property
+    def newest_heat(self) -> int:
+        """Largest number of a heat; 0 before the first."""
+        return int(self.races.heat.max(initial=0))
+
+    def own_races(self, number: int) -> OwnRaces:
+        """Return the races of an entry."""
+        return own_races(self.races, self.ratings, number)
 
     def row(self, number: int, name: str = "") -> Row:
         """Return an entry's line by its number; its name is for the error only.
@@ -138,26 +150,20 @@ def rated(
     entries: Sequence[LeagueEntry],
     also: Collection[int] = (),
     carried: Carried | None = None,
-) -> Ratings | None:
-    """Return the fit of a league's results, pinned to its first anchor; None without an entry.
+    near: Ratings | None = None,
+) -> tuple[RatingData, Ratings] | None:
+    """Return a league's counted results and their fit, pinned to its first anchor.
 
     Args:
         results: the races.
         entries: all entries of the league.
         also: numbers of entries to rate besides those in a rated state and those that raced.
         carried: what is known from an earlier season.
+        near: ratings by nearly the same races.
+
+    Returns:
+        None without an entry to rate.
     """
-    found = _fitted(results, entries, also, carried)
-    return found[1] if found else None
-
-
-def _fitted(
-    results: Results,
-    entries: Sequence[LeagueEntry],
-    also: Collection[int],
-    carried: Carried | None,
-    near: Ratings | None = None,
-) -> tuple[RatingData, Ratings] | None:
     numbers = {entry.number for entry in entries if entry.state in RATED} | set(also)
     data = RatingData.of(results, sorted(numbers))
     if not len(data.entries):
@@ -213,7 +219,7 @@ def table(
         tracks: its tracks.
         near: ratings by nearly the same races, which make this quick.
     """
-    found = _fitted(results_of(within.races), entries, (), within.carried, near)
+    found = rated(results_of(within.races), entries, (), within.carried, near)
     if found is None:
         return None
     data, fitted = found
@@ -331,32 +337,15 @@ UNMET = HeadToHead(0, 0, 0, 0.0, 0.0)
 
 def head_to_head(standings: Standings, one: int, other: int) -> HeadToHead:
     """Return the record of two entries, by number."""
-    return meetings(standings, one).get(other, UNMET)
-
-
-class Strengths(Protocol):
-    """Ratings, as far as what they promise depends on them."""
-
-    @property
-    def entries(self) -> np.ndarray:
-        """Entry numbers, ascending."""
-        ...
-
-    @property
-    def elo(self) -> np.ndarray:
-        """Strength of each [Elo]."""
-        ...
-
-    @property
-    def slot_advantages(self) -> np.ndarray:
-        """What each slot of the grid is worth [Elo]."""
-        ...
+    return meetings(standings, standings.own_races(one)).get(other, UNMET)
 
 
 @dataclass(frozen=True)
 class OwnRaces:
     """An entry's rated races by heat and half, seen from its seat; all but two (races, cars)."""
 
+    number: int
+    """Of the entry."""
     races: Races
     slot: np.ndarray
     """Where it stood on the grid, (races, 1)."""
@@ -383,6 +372,7 @@ def own_races(races: Races, ratings: Strengths, number: int) -> OwnRaces:
     place = np.take_along_axis(places, slot, axis=1)
     known = np.searchsorted(ratings.entries, races.entries).clip(max=len(ratings.entries) - 1)
     return OwnRaces(
+        number=number,
         races=races,
         slot=slot,
         met=(races.entries >= 0) & ~mine,
@@ -391,9 +381,8 @@ def own_races(races: Races, ratings: Strengths, number: int) -> OwnRaces:
     )
 
 
-def meetings(standings: Standings, number: int) -> dict[int, HeadToHead]:
+def meetings(standings: Standings, own: OwnRaces) -> dict[int, HeadToHead]:
     """Return an entry's record against each one that it met, by the other's number."""
-    own = own_races(standings.races, standings.ratings, number)
     others, at = np.unique(own.races.entries[own.met], return_inverse=True)
     races, wins, ties = (
         np.bincount(at, counted[own.met], len(others)).astype(int).tolist()
@@ -414,5 +403,5 @@ def meetings(standings: Standings, number: int) -> dict[int, HeadToHead]:
 
 def records(standings: Standings, number: int) -> list[tuple[Row, HeadToHead]]:
     """Return an entry's record against each one that it met, the best of them first."""
-    met = meetings(standings, number)
+    met = meetings(standings, standings.own_races(number))
     return [(row, met[row.number]) for row in standings.rows if row.number in met]

@@ -99,9 +99,8 @@ def from_behind(cfg: DuelConfig, field: Sequence[Driver], top_speeds: Sequence[f
             the first one defends.
         top_speeds: of their cars, as shares of what the car can be asked for.
     """
-    env = _env(cfg, field, cfg.races)
-    seeds = rng.bits(cfg.seed, _SEED, np.arange(cfg.races)) & rng.SEED_MASK
-    rollout = Rollout(env, DriverPool([field] * cfg.races, strict=True), seeds.tolist())
+    env = make_env(cfg, field, cfg.races)
+    rollout = Rollout(env, DriverPool([field] * cfg.races, strict=True), seeds(cfg).tolist())
     cars, last = env.world.cars, len(field) - 1
     cars["top_speed"] = np.array(top_speeds, np.float32) * env.cfg.sim.car.max_speed
     over, near_m = np.zeros(cfg.races, np.bool_), 0.0
@@ -143,7 +142,7 @@ def solo_lap(cfg: DuelConfig, driver: Driver, top_speed: float = 1.0) -> float:
 
     The best of LAPS - 1 laps after the first.
     """
-    env = _env(cfg, (driver,), 1)
+    env = make_env(cfg, (driver,), 1)
     rollout = Rollout(env, DriverPool([(driver,)], strict=True), [cfg.seed])
     env.world.cars["top_speed"] = top_speed * env.cfg.sim.car.max_speed
     best, laps = np.inf, 0
@@ -185,7 +184,13 @@ def threshold(cfg: DuelConfig, attacker: Driver, defender: Driver) -> Threshold:
     return Threshold(pace=best, hold=max(holding, default=0.0), duels=dict(sorted(results.items())))
 
 
-def _env(cfg: DuelConfig, drivers: Sequence[Driver], worlds: int) -> RaceEnv:
+def seeds(cfg: DuelConfig) -> np.ndarray:
+    """Return the seed of each race, int64 (races,)."""
+    return rng.bits(cfg.seed, _SEED, np.arange(cfg.races)) & rng.SEED_MASK
+
+
+def make_env(cfg: DuelConfig, drivers: Sequence[Driver], worlds: int) -> RaceEnv:
+    """Return worlds in which these drivers race, in the order of the grid, or one drives alone."""
     spread = dynamics(VARIATION, 0.5) if len(drivers) > 1 else DynamicsRandomization()
     sim = SimConfig(
         kind="head_to_head" if len(drivers) > 1 else "time_trial",

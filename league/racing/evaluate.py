@@ -12,12 +12,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from league.agents.driver import Driver
 from league.agents.rollout import DriverPool, Rollout
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv, Step
-from league.envs.rewards import BuiltIn, Reward
+from league.envs.rewards import BuiltIn, Paid, Reward
 from league.errors import ConfigError, brief
 from league.racing.race import dynamics
 from league.racing.table import Evaluation, Mode, Status, Trial
@@ -67,7 +68,7 @@ class EvalStep:
 
     tracks: TrackSet
     sim: SimConfig
-    before: np.ndarray
+    before: ndarray
     """CAR records before the step, (num_worlds, num_cars)."""
     judged: World
     """The worlds as the referee and the reward saw them, before any penalty moved a car."""
@@ -126,6 +127,7 @@ def evaluate(
     Raises:
         LeagueError: unknown names, settings that contradict each other, actions that are none.
     """
+    from league.agents import roster
     from league.track import files
 
     if not 1 <= trials <= MAX_TRIALS:
@@ -143,7 +145,10 @@ def evaluate(
         rules=replace(rules or RaceRules(), laps=laps),
         spread=dynamics(variation, start_speed(variation, 1 + len(opponents))),
     )
-    drivers = [_loaded(one, tracks, sim) for one in (driver, *opponents)]
+    drivers = [
+        roster.load(one, tracks, sim.car) if isinstance(one, str) else one
+        for one in (driver, *opponents)
+    ]
     cfg = EnvConfig(sim=sim, solver=solver, sensors=tuple(one.sensors for one in drivers))
     run_laps = laps if course.closed else 1
     runs = [
@@ -154,7 +159,7 @@ def evaluate(
         batch = runs[first : first + WORLDS_AT_ONCE]
         batch_reward = reward(len(batch)) if reward is not None else None
         _drive(tracks, cfg, drivers, batch, batch_reward, watch)
-    rows = [(run, row) for run in runs for row in run.rows]
+    rows = [row for run in runs for row in run.rows]
     return Evaluation(
         driver=drivers[0].name,
         track=course.name,
@@ -165,10 +170,7 @@ def evaluate(
         asked=run_laps * trials,
         seed=seed,
         variation=variation,
-        trials=tuple(
-            Trial(trial=number, run=run.number, seed=run.seed, **row)
-            for number, (run, row) in enumerate(rows, 1)
-        ),
+        trials=tuple(Trial(trial=number, **row) for number, row in enumerate(rows, 1)),
         places=tuple(run.place for run in runs) if opponents else (),
     )
 
@@ -176,12 +178,6 @@ def evaluate(
 def start_speed(variation: float, num_cars: int) -> float:
     """Return the largest speed at the start of a run [m/s]; a grid of several cars stands."""
     return START_SPEED * variation if num_cars == 1 else 0.0
-
-
-def _loaded(driver: Driver | str, tracks: TrackSet, sim: SimConfig) -> Driver:
-    from league.agents import roster
-
-    return roster.load(driver, tracks, sim.car) if isinstance(driver, str) else driver
 
 
 def _drive(
@@ -210,12 +206,8 @@ def _drive(
                 elif not run.over:
                     trial_steps.append(run.add(row, records[row]))
             if watch is not None and recorder is not None:
-                watch(
-                    EvalStep(
-                        *(tracks, cfg.sim, before, recorder.judged, env.world, step),
-                        tuple(trial_steps),
-                    )
-                )
+                worlds = before, recorder.judged, env.world
+                watch(EvalStep(tracks, cfg.sim, *worlds, step, tuple(trial_steps)))
     finally:
         env.close()
 
@@ -224,25 +216,16 @@ class _WorldRecorder:
     """A reward that pays what another does and keeps a copy of the worlds it was computed on."""
 
     def __init__(self, reward: Reward) -> None:
-        self._reward = reward
+        self._reward, self.terms = reward, reward.terms
         self.judged: World
 
-    @property
-    def terms(self) -> tuple[str, ...]:
-        return self._reward.terms
-
     def __call__(
-        self,
-        tracks: TrackSet,
-        before: World,
-        world: World,
-        actions: np.ndarray,
-        verdicts: np.ndarray,
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray
+    ) -> Paid:
         self.judged = world.copy()
         return self._reward(tracks, before, world, actions, verdicts)
 
-    def restart(self, world: World, who: np.ndarray) -> None:
+    def restart(self, world: World, who: ndarray) -> None:
         self._reward.restart(world, who)
 
 
@@ -268,7 +251,7 @@ class StepRecord:
 
 
 def _step_records(
-    tracks: TrackSet, sim: SimConfig, before: np.ndarray, world: World, step: Step
+    tracks: TrackSet, sim: SimConfig, before: ndarray, world: World, step: Step
 ) -> list[StepRecord]:
     cars, verdicts = world.cars[:, 0], step.verdicts[:, 0]
     share = cars["best_distance"] / tracks.lap_length(world.track) - cars["laps"]
@@ -345,6 +328,8 @@ class LapRun:
         share = 1.0 if complete else min(max(record.share, 0.0), 1.0)
         self.rows.append(
             {
+                "run": self.number,
+                "seed": self.seed,
                 "standing": self.standing,
                 "status": ending,
                 "time_s": round(record.lap_s if complete else record.elapsed_s, 4),

@@ -135,21 +135,7 @@ def run_together(jobs: Sequence[RaceJob], *, patience_s: float = math.inf) -> li
     Raises:
         LeagueError: as `run`; or the races are not alike.
     """
-    from league.track import files
-
-    if not jobs:
-        return []
-    specs = [job.spec for job in jobs]
-    sim, solver = sim_config(specs[0]), specs[0].solver
-    for spec in specs[1:]:
-        if (sim_config(spec), spec.solver) != (sim, solver):
-            raise ConfigError(
-                f"races of seeds {specs[0].seed} and {spec.seed} have other settings: run together "
-                "only races that differ in nothing but track, seed and drivers"
-            )
-    courses = [job.track or files.load(job.spec.track) for job in jobs]
-    drivers = [_drivers(job, course, sim.car) for job, course in zip(jobs, courses, strict=True)]
-    return _Batch(jobs, courses, drivers, EnvConfig(sim, solver, reward=_UNPAID), patience_s).run()
+    return _Batch(jobs, patience_s).run() if jobs else []
 
 
 def _drivers(job: RaceJob, course: Track, car: CarConfig) -> Sequence[Driver]:
@@ -165,17 +151,24 @@ def _drivers(job: RaceJob, course: Track, car: CarConfig) -> Sequence[Driver]:
 class _Batch:
     """Races under way, a world each. A race that is over stands still until all are."""
 
-    def __init__(
-        self,
-        jobs: Sequence[RaceJob],
-        courses: Sequence[Track],
-        drivers: Sequence[Sequence[Driver]],
-        cfg: EnvConfig,
-        patience_s: float,
-    ) -> None:
+    def __init__(self, jobs: Sequence[RaceJob], patience_s: float) -> None:
+        from league.track import files
+
+        first = jobs[0].spec
+        cfg = EnvConfig(sim_config(first), first.solver, reward=_UNPAID)
+        for other in (job.spec for job in jobs[1:]):
+            if (sim_config(other), other.solver) != (cfg.sim, cfg.solver):
+                raise ConfigError(
+                    f"races of seeds {first.seed} and {other.seed} have other settings: run "
+                    "together only races that differ in nothing but track, seed and drivers"
+                )
+        courses = [job.track or files.load(job.spec.track) for job in jobs]
         different = {id(course): course for course in courses}
         track_index = [list(different).index(id(course)) for course in courses]
         tracks = TrackSet(*different.values())
+        drivers = [
+            _drivers(job, course, cfg.sim.car) for job, course in zip(jobs, courses, strict=True)
+        ]
         self._env = RaceEnv(tracks, cfg, num_worlds=len(jobs), track_index=track_index)
         self._pool = DriverPool(drivers, patience_s=patience_s)
         # Sensors of their own, because the drivers of another race may carry other ones.
@@ -246,7 +239,7 @@ class _RunningRace:
 
     def begin(self, world: World) -> None:
         if self._recorder:
-            self._recorder.start(world)
+            self._recorder.add(world)
         self._observe(world)
 
     def fault(self, car: int, failed: bool) -> bool:
@@ -344,13 +337,8 @@ def qualifying_laps(spec: RaceSpec, track: Track) -> list[float]:
     Raises:
         LeagueError: as `race.run`.
     """
-    alone = {
-        "kind": "time_trial",
-        "laps": QUALIFYING_LAPS,
-        "format": "standing",
-        "obstacles": 0,
-        "max_time_s": 0.0,
-    }
+    race = {"kind": "time_trial", "laps": QUALIFYING_LAPS, "format": "standing"}
+    alone = {**race, "obstacles": 0, "max_time_s": 0.0}
     jobs = [
         RaceJob(spec.model_copy(update={**alone, "entries": (entry,)}), track, record=False)
         for entry in spec.entries

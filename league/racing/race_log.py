@@ -3,29 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from league.race_spec import CarResult, Event, EventKind, RaceResult, RaceSpec
 from league.sim.records import NOBODY, World, members
 
+_COUNTS = (
+    *("laps", "off_tracks", "crashes", "touches", "contacts_taken", "immobilised", "reversed"),
+    "overtakes",
+)
+"""Counts of a car that the classification has as they are."""
 
-@dataclass
+
 class RaceLog:
     """The events of a race, and each car's laps, as they happen."""
 
-    step_dt: float
-    num_cars: int
-    events: list[Event] = field(default_factory=list)
-    laps: list[list[float]] = field(default_factory=list)
-    penalties: list[float] = field(default_factory=list)
-    steps: int = 0
-    listen: Callable[[Event], None] | None = None
-
-    def __post_init__(self) -> None:
-        self.laps = [[] for _ in range(self.num_cars)]
-        self.penalties = [0.0] * self.num_cars
+    def __init__(
+        self, step_dt: float, num_cars: int, listen: Callable[[Event], None] | None = None
+    ) -> None:
+        """Log the start; `listen` is called with each event."""
+        self.step_dt, self.num_cars, self.listen = step_dt, num_cars, listen
+        self.steps = 0
+        self.events: list[Event] = []
+        self.laps: list[list[float]] = [[] for _ in range(num_cars)]
+        self.penalties = [0.0] * num_cars
         self.add("start", 0)
 
     def add(
@@ -100,18 +102,11 @@ def classify(spec: RaceSpec, world: World, log: RaceLog) -> RaceResult:
                 name=entry.name,
                 place=1,
                 finished=finished,
-                laps=int(now["laps"]),
                 total_s=round(finish_s if finished else race_s, 4),
                 lap_times_s=tuple(log.laps[car]),
                 distance=round(float(now["best_distance"]), 3),
-                off_tracks=int(now["off_tracks"]),
-                crashes=int(now["crashes"]),
-                touches=int(now["touches"]),
-                contacts_taken=int(now["contacts_taken"]),
-                immobilised=int(now["immobilised"]),
-                reversed=int(now["reversed"]),
                 penalty_s=round(log.penalties[car], 4),
-                overtakes=int(now["overtakes"]),
+                **{name: int(now[name]) for name in _COUNTS},
             )
         )
     ordered = sorted(unplaced, key=lambda car: merit(spec, car))
@@ -137,6 +132,5 @@ def merit(spec: RaceSpec, car: CarResult) -> tuple[float, ...]:
         laps = car.lap_times_s
         stretches = [laps[first : first + window] for first in range(len(laps) - window + 1)]
         time_s = min(map(sum, stretches), default=None)  # all as long: the best mean, times that
-    counts = time_s is not None
     mistakes = car.off_tracks + car.crashes
-    return (0.0 if counts else 1.0, time_s or 0.0, -car.distance, float(mistakes), float(car.car))
+    return (float(time_s is None), time_s or 0.0, -car.distance, float(mistakes), float(car.car))

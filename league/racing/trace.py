@@ -15,16 +15,18 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from league.atomic_file import replacing
 from league.deepracer import model_metadata, params_kernels
 from league.deepracer.params import Roads
 from league.envs.actions import ActionSpace, ContinuousActions, DiscreteActions
-from league.envs.rewards import Reward
+from league.envs.rewards import Paid, Reward
 from league.errors import ConfigError, PolicyError
 from league.racing.evaluate import MISTAKES, EvalStep
 from league.sim import referee
@@ -46,7 +48,7 @@ def nearer(points: Sequence[tuple[float, float]], pair: Sequence[int], x: float,
     return pair[1] if ahead < behind else pair[0]
 
 
-def mistakes(verdicts: np.ndarray) -> list[str]:
+def mistakes(verdicts: ndarray) -> list[str]:
     """Return the first mistake of each verdict, VERDICT records (n,); empty where there is none."""
     names = np.full(len(verdicts), "", dtype=object)
     for flag, name in reversed(MISTAKES.items()):
@@ -66,9 +68,9 @@ class StepRows:
         self,
         tracks: TrackSet,
         sim: SimConfig,
-        before: np.ndarray,
+        before: ndarray,
         world: World,
-        rewards: np.ndarray,
+        rewards: ndarray,
     ) -> list[dict[str, Any]]:
         """Return a row for each world.
 
@@ -105,10 +107,8 @@ class StepRows:
 
     def _action(self, steer: float, throttle: float) -> str | int:
         if isinstance(self._space, DiscreteActions):
-            gaps = [
-                abs(angle - steer) / 30.0 + abs(speed - throttle)
-                for angle, speed in self._space.choices
-            ]
+            choices = self._space.choices
+            gaps = [abs(angle - steer) / 30.0 + abs(speed - throttle) for angle, speed in choices]
             return gaps.index(min(gaps))
         # No comma between the two: readers of the older files count commas.
         return f"[{steer:.4f} {throttle:.4f}]"
@@ -132,7 +132,6 @@ class Trace:
         self.sensors = sensors or SensorConfig()
         self._step_rows = StepRows(space)
         self._rows: dict[int, list[dict[str, Any]]] = {}
-        self._crashes: dict[tuple[int, int], int] = {}
         self._step_dt = 0.0
 
     def add(self, step: EvalStep) -> None:
@@ -143,10 +142,10 @@ class Trace:
         )
         pauses = _plain(step.world.cars["penalty_s"][:, 0])
         for trial in step.trials:
+            run = self._rows.setdefault(trial.run, [])
+            crashes = run[-1]["obstacle_crash_counter"] if trial.step > 1 else 0
             crash = bool(step.step.verdicts["crashed_obstacle"][trial.row, 0] != NOBODY)
-            key = (trial.run, trial.trial)
-            self._crashes[key] = self._crashes.get(key, 0) + crash
-            self._rows.setdefault(trial.run, []).append(
+            run.append(
                 {
                     **rows[trial.row],
                     "trial": trial.trial,
@@ -154,7 +153,7 @@ class Trace:
                     "done": trial.done,
                     "episode_status": trial.status,
                     "pause_duration": pauses[trial.row],
-                    "obstacle_crash_counter": self._crashes[key],
+                    "obstacle_crash_counter": crashes + crash,
                     **({"progress": 100.0} if trial.status == "lap_complete" else {}),
                 }
             )
@@ -194,7 +193,7 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> Path:
 
 
 def _columns(
-    tracks: TrackSet, car: CarConfig, before: np.ndarray, world: World, rewards: np.ndarray
+    tracks: TrackSet, car: CarConfig, before: ndarray, world: World, rewards: ndarray
 ) -> dict[str, list[Any]]:
     """Return numbers of car 0 of each world after a step, by name."""
     now, track = world.cars[:, 0], world.track
@@ -223,7 +222,7 @@ def _columns(
     return {name: _plain(values) for name, values in columns.items()}
 
 
-def _plain(values: np.ndarray) -> list[Any]:
+def _plain(values: ndarray) -> list[Any]:
     if values.dtype.kind == "f":
         return [round(value, 6) for value in values.astype(np.float64).tolist()]
     return values.tolist()
@@ -273,15 +272,12 @@ class TrainingTrace:
     def __init__(self, reward: Reward, folder: Path, space: ActionSpace, sim: SimConfig) -> None:
         """Prepare; nothing is written before `flush`, or the end of the twentieth episode."""
         self._reward, self._folder, self._sim = reward, folder / TRAINING, sim
+        self.terms = reward.terms
+        """Names under which the other reward logs."""
         self._step_rows = StepRows(space)
         self._running: list[list[dict[str, Any]]] = []
         self._ended: list[list[dict[str, Any]]] = []
         self._episodes = self._steps = 0
-
-    @property
-    def terms(self) -> tuple[str, ...]:
-        """Names under which the other reward logs."""
-        return self._reward.terms
 
     @property
     def position(self) -> tuple[int, int]:
@@ -289,13 +285,8 @@ class TrainingTrace:
         return self._episodes, self._steps
 
     def __call__(
-        self,
-        tracks: TrackSet,
-        before: World,
-        world: World,
-        actions: np.ndarray,
-        verdicts: np.ndarray,
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray
+    ) -> Paid:
         """Return what the other reward pays, and note the step; see Reward."""
         paid = self._reward(tracks, before, world, actions, verdicts)
         self._steps += 1
@@ -327,7 +318,7 @@ class TrainingTrace:
                 self._end(number)
         return paid
 
-    def restart(self, world: World, begun: np.ndarray) -> None:
+    def restart(self, world: World, begun: ndarray) -> None:
         """End the episodes of cars that begin another; see Reward."""
         self._reward.restart(world, begun)
         for number, running in enumerate(self._running):
@@ -382,9 +373,6 @@ class TrainingTrace:
 
 def _read_episodes(path: Path, episodes: int) -> list[list[dict[str, Any]]]:
     """Return the rows of each episode of a file, of those below a number."""
-    by_episode: dict[int, list[dict[str, Any]]] = {}
     with path.open(newline="", encoding="utf-8") as file:
-        for row in csv.DictReader(file):
-            if int(row["episode"]) < episodes:
-                by_episode.setdefault(int(row["episode"]), []).append(row)
-    return list(by_episode.values())
+        rows = [row for row in csv.DictReader(file) if int(row["episode"]) < episodes]
+    return [list(episode) for _, episode in groupby(rows, key=lambda row: row["episode"])]

@@ -4,9 +4,6 @@
 (speed_profile.py). The same track and car give the same bits on every machine.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 from __future__ import annotations
 
 import math

@@ -9,9 +9,6 @@ barrier that falls from round to round keeps it away from their bounds (J. Noced
 Numerical Optimization, chapter 19). The exact forward-backward pass says which line is fastest.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 
 import numpy as np

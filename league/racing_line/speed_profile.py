@@ -4,9 +4,6 @@ The car is quasi-steady: lateral acceleration v^2 * curvature and longitudinal a
 the tyres' grip, within the limits of drive and brakes.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 from __future__ import annotations
 
 import math

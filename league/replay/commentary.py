@@ -15,7 +15,8 @@ from league.sim.config import CarConfig
 
 Cars = Mapping[str, np.ndarray] | np.ndarray
 """One moment's cars: records, or columns by name, (num_cars,) each; FIELDS are read."""
-FIELDS = ("x", "y", "velocity_x", "velocity_y", "distance", "laps", "ghost")
+_MOTION = ("x", "y", "velocity_x", "velocity_y", "distance")
+FIELDS = (*_MOTION, "laps", "ghost")
 
 ATTACK = 0.7
 """An attacker is at most this far behind along the track, between the bases [m]."""
@@ -33,20 +34,10 @@ BACK_S = 10.0
 """A pass so soon after being passed takes the place back [s]."""
 
 _WEIGHT = {
-    "winner": 0,
-    "closest_fight": 0,
-    "overtake": 1,
-    "forced_off": 1,
-    "crash": 2,
-    "lead_change": 2,
-    "defended": 3,
-    "gap": 4,
-    "off_track": 5,
-    "obstacle_contact": 5,
-    "touch": 6,
-    "side_by_side": 7,
+    "winner": 0, "closest_fight": 0, "overtake": 1, "forced_off": 1, "crash": 2, "lead_change": 2,
+    "defended": 3, "gap": 4, "off_track": 5, "obstacle_contact": 5, "touch": 6, "side_by_side": 7,
     "attack": 8,
-}
+}  # fmt: skip
 """What a short story keeps first; what is not named here it leaves out."""
 
 
@@ -95,8 +86,7 @@ class Commentator:
         """
         self._spec, self._names = spec, names
         self._laps = spec.laps if closed else 1
-        self._before: tuple[float, np.ndarray] | None = None  # time, distances
-        self._moving: tuple[np.ndarray, np.ndarray] | None = None  # places, velocities
+        self._before: tuple[float, dict[str, np.ndarray]] | None = None  # time, columns of cars
         self._fights: dict[frozenset[int], _Fight] = {}
         self._lap_times_s: list[list[float]] = [[] for _ in names]
         self._crossings: dict[int, list[tuple[float, int]]] = {}
@@ -113,11 +103,7 @@ class Commentator:
         ]
         for kind, car, text in self._about_fights(time_s, cars):
             lines.append(Remark(time_s, kind, car, 1 + int(laps[car]), text))
-        self._before = time_s, np.array(cars["distance"], dtype=np.float64)
-        self._moving = (
-            np.stack([cars["x"], cars["y"]], axis=1).astype(np.float64),
-            np.stack([cars["velocity_x"], cars["velocity_y"]], axis=1).astype(np.float64),
-        )
+        self._before = time_s, {name: np.array(cars[name], np.float64) for name in _MOTION}
         return self._on_laps(lines)
 
     def end(self, result: RaceResult) -> list[Remark]:
@@ -151,7 +137,8 @@ class Commentator:
             if pair not in near:
                 fight.attacker = None
         for (front, rear), gap in gaps.items():
-            before = float(self._before[1][front] - self._before[1][rear])
+            distance = self._before[1]["distance"]
+            before = float(distance[front] - distance[rear])
             fight = self._fights.setdefault(frozenset((front, rear)), _Fight())
             if gap > APART:
                 if fight.attacker == rear:
@@ -214,8 +201,9 @@ class Commentator:
             yield "winner", first, f"{self._of(first)} wins, {margin} before {self._of(second)}"
 
     def _of(self, car: int | None) -> str:
-        known = car is not None and 0 <= car < len(self._names)
-        return self._names[car] if known and car is not None else "another car"
+        if car is None or not 0 <= car < len(self._names):
+            return "another car"
+        return self._names[car]
 
     def _sentence(self, event: Event) -> str:
         name, other, value = self._of(event.car), self._of(event.other), event.value
@@ -242,11 +230,12 @@ class Commentator:
     def _impact(self, event: Event) -> str:
         """Return how fast two cars came together, by their motion one step before a contact."""
         other = event.other
-        if self._moving is None or other is None or not 0 <= other < len(self._names):
+        if self._before is None or other is None or not 0 <= other < len(self._names):
             return ""
-        places, velocities = self._moving
-        way = places[other] - places[event.car]
-        closing = (velocities[event.car] - velocities[other]) @ way / max(np.hypot(*way), 1e-6)
+        x, y, velocity_x, velocity_y, _ = (
+            column[other] - column[event.car] for column in self._before[1].values()
+        )
+        closing = -(velocity_x * x + velocity_y * y) / max(np.hypot(x, y), 1e-6)
         return f" at {closing:.1f} m/s" if closing >= 0.05 else ""
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from league.atomic_file import replacing
-from league.errors import ReplayError, TrackError
+from league.errors import ReplayError, TrackError, explaining, first_problem
 from league.race_spec import RaceResult, of_older_version
 from league.replay.replay import (
     GRAINS,
@@ -100,10 +100,9 @@ def encode(replay: Replay) -> bytes:
         result=replay.result,
     )
     packed_header = zlib.compress(header.model_dump_json().encode(), 9)
-    parts = [_pack(grain, getattr(columns, grain.name)) for grain in GRAINS]
-    parts += [
-        numbers.astype("<f4").tobytes() for numbers in (replay.parameters, replay.obstacle_sizes)
-    ]
+    parts = [_pack(name, grain, getattr(columns, name)) for name, grain in GRAINS.items()]
+    floats = replay.parameters, replay.obstacle_sizes
+    parts += [numbers.astype("<f4").tobytes() for numbers in floats]
     parts.append(columns.checksum.astype("<u4").tobytes())
     packed_body = zlib.compress(b"".join(parts), 9)
     crc = zlib.crc32(packed_body, zlib.crc32(packed_header))
@@ -122,15 +121,13 @@ def write(replay: Replay, path: str | os.PathLike[str]) -> Path:
 def read(path: str | os.PathLike[str]) -> Replay:
     """Read a replay from a file; anything but a sound replay raises ReplayError."""
     path = Path(path)
-    try:
+    remedy = "give the path of a replay"
+    with explaining(f"{path} cannot be read", ReplayError, remedy, ValueError):
         # Looked at before it is opened: opening a pipe would wait for ever.
         if path.exists() and not path.is_file():
-            raise ReplayError(f"{path} is not a file: give the path of a replay")
+            raise ReplayError(f"{path} is not a file: {remedy}")
         with path.open("rb") as file:
             content = file.read(MAX_FILE + 1)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise ReplayError(f"{path} cannot be read ({reason}): give the path of a replay") from error
     try:
         return decode(content)
     except ReplayError as error:
@@ -144,17 +141,16 @@ def decode(content: bytes) -> Replay:
     try:
         header = _Header.model_validate_json(raw_header)
     except ValidationError as error:
-        where = ".".join(str(part) for part in error.errors()[0]["loc"]) or "its text"
+        first, where, _ = first_problem(error, "its text")
         raise ReplayError(
-            f"has a header that does not describe a race ({where}: {error.errors()[0]['msg']}): "
+            f"has a header that does not describe a race ({where}: {first['msg']}): "
             "get the file again from where the race was run"
         ) from error
-    problem = header.problem()
-    if problem is not None:
+    if problem := header.problem():
         raise ReplayError(
             f"contradicts itself ({problem}): get the file again from where the race was run"
         )
-    columns = sum(_size(grain, header) for grain in GRAINS if grain.since <= version)
+    columns = sum(_size(grain, header) for grain in GRAINS.values() if grain.since <= version)
     size = columns + 4 * (header.cars * len(PARAMETERS) + 2 * header.obstacles + header.frames)
     if size > MAX_BODY or len(packed_body) < MIN_BYTES_PER_FRAME * header.frames:
         raise ReplayError(
@@ -232,12 +228,12 @@ def _size(grain: Grain, header: _Header) -> int:
     return math.prod(_rows(grain, header)) * (2 if grain.wraps else 4)
 
 
-def _pack(grain: Grain, column: np.ndarray) -> bytes:
+def _pack(name: str, grain: Grain, column: np.ndarray) -> bytes:
     """Return whole numbers' differences, cars first, the low bytes of all before the high bytes."""
     whole = to_whole(grain, column)
     kind = np.dtype("<i2" if grain.wraps else "<i4")
     if whole.size and not np.iinfo(kind).min <= whole.min() <= whole.max() <= np.iinfo(kind).max:
-        raise ReplayError(f"the race's column {grain.name} is too large to be kept in {kind}")
+        raise ReplayError(f"the race's column {name} is too large to be kept in {kind}")
     steps = whole.astype(kind)
     for _ in range(grain.order):
         # Differences wrap around like the sums that undo them, so none can overflow.
@@ -260,12 +256,12 @@ def _unfold(grain: Grain, raw: bytes, shape: tuple[int, ...]) -> np.ndarray:
 def _assemble(header: _Header, version: int, body: bytes) -> Replay:
     at = 0
     kept: dict[str, np.ndarray] = {}
-    for grain in GRAINS:
+    for name, grain in GRAINS.items():
         if grain.since > version:
-            kept[grain.name] = np.zeros(_rows(grain, header))
+            kept[name] = np.zeros(_rows(grain, header))
             continue
         size = _size(grain, header)
-        kept[grain.name] = _unfold(grain, body[at : at + size], _rows(grain, header))
+        kept[name] = _unfold(grain, body[at : at + size], _rows(grain, header))
         at += size
     floats = np.frombuffer(body, "<f4", header.cars * len(PARAMETERS) + 2 * header.obstacles, at)
     checksum = np.frombuffer(body, "<u4", header.frames, at + floats.nbytes)

@@ -1,15 +1,18 @@
-"""Replay: one recorded race, its columns, and any of its moments as a world for the renderers."""
+"""Replay: one recorded race, any of its moments as a world for the renderers, and its recorder."""
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Literal
+from typing import Annotated, Literal, get_type_hints
 
 import numpy as np
 
+from league import __version__
+from league.errors import ReplayError
 from league.race_spec import RaceResult, RaceSpec
-from league.sim import records
+from league.sim import PHYSICS, records
 from league.sim.config import ObstacleConfig, SimConfig
 from league.sim.records import World
 from league.track.track import Track, TrackSet
@@ -28,7 +31,6 @@ TURN_STEP = 2 * np.pi / 65536
 class Grain:
     """How one column is rounded to whole numbers and differenced."""
 
-    name: str
     axis: Axis
     """A row has one number for each of these."""
     step: float
@@ -42,68 +44,45 @@ class Grain:
     """First version of the file format with it; zero in older replays."""
 
 
-GRAINS = (
-    Grain("x", "cars", 1e-3, 2),
-    Grain("y", "cars", 1e-3, 2),
-    Grain("yaw", "cars", TURN_STEP, 2, wraps=True),
-    Grain("velocity_x", "cars", 1e-3, 1),
-    Grain("velocity_y", "cars", 1e-3, 1),
-    Grain("yaw_rate", "cars", 1e-3, 1),
-    Grain("steering", "cars", 1e-4, 1),
-    Grain("actions", "actions", 1e-4, 1),
-    Grain("penalty_s", "cars", 1e-3, 1),
-    Grain("ghost", "cars", 1.0, 1),
-    Grain("laps", "cars", 1.0, 1),
-    Grain("distance", "cars", 1e-3, 2),
-    Grain("obstacle_x", "obstacles", 1e-3, 2),
-    Grain("obstacle_y", "obstacles", 1e-3, 2),
-    Grain("obstacle_yaw", "obstacles", TURN_STEP, 2, wraps=True),
-    Grain("z", "cars", 1e-3, 1, since=2),
-    Grain("roll", "cars", TURN_STEP, 1, wraps=True, since=2),
-    Grain("pitch", "cars", TURN_STEP, 1, wraps=True, since=2),
-)
-"""Every column but the checksums, in the order of the file."""
-
-
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Each step of a race as float64 arrays, num_frames first."""
+    """Each step of a race as float64 arrays, num_frames first, in the order of the file."""
 
-    x: np.ndarray
+    x: Annotated[np.ndarray, Grain("cars", 1e-3, 2)]
     """Position of the base, world frame [m], (num_frames, num_cars)."""
-    y: np.ndarray
+    y: Annotated[np.ndarray, Grain("cars", 1e-3, 2)]
     """Position of the base, world frame [m], (num_frames, num_cars)."""
-    yaw: np.ndarray
+    yaw: Annotated[np.ndarray, Grain("cars", TURN_STEP, 2, wraps=True)]
     """Heading in [-pi, pi) [rad], (num_frames, num_cars)."""
-    velocity_x: np.ndarray
+    velocity_x: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]
     """Velocity, world frame [m/s], (num_frames, num_cars)."""
-    velocity_y: np.ndarray
+    velocity_y: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]
     """Velocity, world frame [m/s], (num_frames, num_cars)."""
-    yaw_rate: np.ndarray
+    yaw_rate: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]
     """[rad/s], (num_frames, num_cars)."""
-    steering: np.ndarray
+    steering: Annotated[np.ndarray, Grain("cars", 1e-4, 1)]
     """Angle of the front wheels, positive to the left [rad], (num_frames, num_cars)."""
-    actions: np.ndarray
+    actions: Annotated[np.ndarray, Grain("actions", 1e-4, 1)]
     """The drivers' actions in the step that led here, (num_frames, num_cars, 2)."""
-    penalty_s: np.ndarray
+    penalty_s: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]
     """Seconds of penalty still to stand [s], (num_frames, num_cars); above 0 the car is frozen."""
-    ghost: np.ndarray
+    ghost: Annotated[np.ndarray, Grain("cars", 1.0, 1)]
     """1 while the car cannot collide, (num_frames, num_cars)."""
-    laps: np.ndarray
+    laps: Annotated[np.ndarray, Grain("cars", 1.0, 1)]
     """Complete laps, (num_frames, num_cars)."""
-    distance: np.ndarray
+    distance: Annotated[np.ndarray, Grain("cars", 1e-3, 2)]
     """Driven along the track since the start line [m], (num_frames, num_cars)."""
-    obstacle_x: np.ndarray
+    obstacle_x: Annotated[np.ndarray, Grain("obstacles", 1e-3, 2)]
     """Centre [m], (num_frames, num_obstacles), or (1, num_obstacles) if none ever moves."""
-    obstacle_y: np.ndarray
+    obstacle_y: Annotated[np.ndarray, Grain("obstacles", 1e-3, 2)]
     """Centre [m], like obstacle_x."""
-    obstacle_yaw: np.ndarray
+    obstacle_yaw: Annotated[np.ndarray, Grain("obstacles", TURN_STEP, 2, wraps=True)]
     """[rad], like obstacle_x."""
-    z: np.ndarray
+    z: Annotated[np.ndarray, Grain("cars", 1e-3, 1, since=2)]
     """Height of the base above where it stands at rest [m], (num_frames, num_cars)."""
-    roll: np.ndarray
+    roll: Annotated[np.ndarray, Grain("cars", TURN_STEP, 1, wraps=True, since=2)]
     """About the car's own x, positive to the right [rad], (num_frames, num_cars)."""
-    pitch: np.ndarray
+    pitch: Annotated[np.ndarray, Grain("cars", TURN_STEP, 1, wraps=True, since=2)]
     """About the car's own y, positive nose down [rad], (num_frames, num_cars)."""
     checksum: np.ndarray
     """CRC-32 of the exact bits of each step before rounding, uint32, (num_frames,)."""
@@ -125,12 +104,23 @@ class Columns:
 
     def rounded(self) -> Columns:
         """Return the columns as a file would keep them."""
-        kept = {g.name: from_whole(g, to_whole(g, getattr(self, g.name))) for g in GRAINS}
+        kept = {
+            name: from_whole(grain, to_whole(grain, getattr(self, name)))
+            for name, grain in GRAINS.items()
+        }
         return Columns(checksum=self.checksum, **kept)
 
     def all_finite(self) -> bool:
         """Whether no number is NaN or infinite."""
         return all(bool(np.isfinite(getattr(self, item.name)).all()) for item in fields(self))
+
+
+GRAINS: dict[str, Grain] = {
+    name: hint.__metadata__[0]
+    for name, hint in get_type_hints(Columns, include_extras=True).items()
+    if hasattr(hint, "__metadata__")
+}
+"""Of every column but the checksums, in the order of the file."""
 
 
 def to_whole(grain: Grain, column: np.ndarray) -> np.ndarray:
@@ -363,3 +353,90 @@ def seconds_behind(distance: np.ndarray, times_s: np.ndarray) -> np.ndarray:
     rises = np.concatenate([[True], np.diff(front) > 0])
     first = np.interp(distance, front[rises], times_s[rises])
     return np.maximum(times_s[:, None] - first, 0.0) * (distance < lead[:, None])
+
+
+_FOR_GOOD_S = 1e5
+"""Penalty in a replay of a car that is out of the race: longer than any race [s]."""
+_KEPT = (
+    *("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "steering"),
+    *("penalty_s", "distance", "laps", "ghost", "z", "roll", "pitch"),
+)
+"""Fields of a car that a replay keeps."""
+_CHECKED = (*_KEPT, "retired")
+"""Fields of a car that a frame's checksum covers."""
+
+
+class Recorder:
+    """Keeps copies of the steps of one race."""
+
+    def __init__(self, spec: RaceSpec, tracks: TrackSet) -> None:
+        """Start without a step; the world's `track` is an index of `tracks`."""
+        self._tracks = tracks
+        self._names = tuple(entry.name for entry in spec.entries)
+        self._first: World | None = None
+        # Records as they are; all arithmetic waits for `finish`.
+        self._cars: list[np.ndarray] = []
+        self._obstacles: list[np.ndarray] = []
+
+    def add(self, world: World) -> None:
+        """Keep a race, a batch of one: first on the grid, and then after each control step."""
+        if self._first is None:
+            self._first = world.copy()
+        # Copies, so nothing that happens to the race later can reach the recording.
+        self._cars.append(world.cars[0].copy())
+        self._obstacles.append(world.obstacles[0].copy())
+
+    def finish(self, result: RaceResult) -> Replay:
+        """Return the race that was recorded.
+
+        The columns are rounded here as on disk, so a replay does not change by being written.
+        """
+        if self._first is None:
+            raise ValueError("nothing was recorded: add(world) the grid, and then each step")
+        world, columns = self._first, self._columns()
+        if not columns.all_finite():
+            raise ReplayError("the race left the numbers (NaN or infinity), so it cannot be kept")
+        sizes = [world.obstacles[name][0] for name in ("half_length", "half_width")]
+        return Replay(
+            result=result,
+            track=self._tracks.tracks[int(world.track[0])],
+            names=self._names,
+            step_hz=SimConfig().step_hz,
+            parameters=np.stack([world.cars[name][0] for name in PARAMETERS], axis=1),
+            obstacle_sizes=np.stack(sizes, axis=1),
+            columns=columns.rounded(),
+            league_version=__version__,
+            physics=PHYSICS,
+        )
+
+    def _columns(self) -> Columns:
+        cars, obstacles = _stacked(self._cars), _stacked(self._obstacles)
+        actions = np.stack([cars["action_steering"], cars["action_speed"]], axis=-1)
+        places = [obstacles[name] for name in ("x", "y", "yaw")]
+        checksum = _checksums(*(cars[name] for name in _CHECKED), actions, *places)
+        if all((place == place[:1]).all() for place in places):
+            places = [place[:1] for place in places]
+        kept = {name: cars[name].astype(np.float64) for name in _KEPT}
+        # NaN stays NaN.
+        penalty_s = np.where(cars["retired"], _FOR_GOOD_S, kept.pop("penalty_s"))
+        names = ("obstacle_x", "obstacle_y", "obstacle_yaw")
+        kept |= {name: place.astype(np.float64) for name, place in zip(names, places, strict=True)}
+        kept |= {"actions": actions.astype(np.float64), "penalty_s": penalty_s}
+        return Columns(**kept, checksum=checksum)
+
+
+def _stacked(frames: list[np.ndarray]) -> np.ndarray:
+    """Return records of all frames as one array; np.stack would compare their fields each time."""
+    records = np.empty((len(frames), *frames[0].shape), frames[0].dtype)
+    for number, frame in enumerate(frames):
+        records[number] = frame
+    return records
+
+
+def _checksums(*parts: np.ndarray) -> np.ndarray:
+    """Return the CRC-32 of each frame's exact bits and number, uint32, (num_frames,)."""
+    frames = len(parts[0])
+    number = np.arange(frames, dtype="<i8").reshape(frames, 1)
+    rows = [np.ascontiguousarray(part.reshape(frames, -1)) for part in (number, *parts)]
+    row_bytes = np.concatenate([row.view(np.uint8).reshape(frames, -1) for row in rows], axis=1)
+    return np.array([zlib.crc32(row.tobytes()) for row in row_bytes], dtype=np.uint32)

@@ -120,16 +120,13 @@ def _scene(num_cars: int, origin: str, name: str, eye: Point, target: Point) -> 
 
 
 def _eyes(num_cars: int, names: tuple[str, ...]) -> rrb.Container:
-    pairs = [
-        rrb.Horizontal(
-            *(
-                rrb.Spatial2DView(origin=paths.eye(slot, side), name=f"{names[slot]}: {side} eye")
-                for side in paths.EYES
-            ),
-            name=names[slot],
-        )
-        for slot in range(num_cars)
-    ]
+    pairs = []
+    for slot, name in enumerate(names[:num_cars]):
+        views = [
+            rrb.Spatial2DView(origin=paths.eye(slot, side), name=f"{name}: {side} eye")
+            for side in paths.EYES
+        ]
+        pairs.append(rrb.Horizontal(*views, name=name))
     if num_cars <= 2:
         return rrb.Horizontal(*pairs)
     return rrb.Tabs(*pairs, name="Eyes")

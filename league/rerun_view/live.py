@@ -14,7 +14,7 @@ from league.race_spec import Event, RaceResult, RaceSpec
 from league.replay.commentary import Commentator
 from league.replay.director import PACK, Director
 from league.rerun_view import blueprint, paths, record
-from league.rerun_view.scene import SceneWriter, about_z, positions, speeds
+from league.rerun_view.scene import SceneWriter, positions, rotation, speeds
 from league.rerun_view.viewer import Stream
 from league.sim.config import SimConfig
 from league.sim.records import World
@@ -87,12 +87,9 @@ class Live:
         cars = world.cars[:1]
         gaps = cars["distance"].max() - cars["distance"]
         self._writer.send_cars(times, cars)
-        charts = {
-            paths.PLOT_SPEED: speeds(cars),
-            paths.PLOT_GAP: gaps,
-            paths.PLOT_STEERING: np.degrees(cars["steering"]),
-        }
-        self._writer.send_charts(times, charts)
+        self._writer.send_chart(paths.PLOT_SPEED, times, speeds(cars))
+        self._writer.send_chart(paths.PLOT_GAP, times, gaps)
+        self._writer.send_chart(paths.PLOT_STEERING, times, np.degrees(cars["steering"]))
         if world.num_obstacles:
             self._writer.send_obstacles(times, world.obstacles[:1], bots=self._bots)
         for line in self._commentator.add(float(times[0]), cars[0], self._events):
@@ -129,7 +126,7 @@ class Live:
         forward = (target[:2] - self._chase[:2]) * 3 * CHASE_SHARE
         self._chase = self._chase + np.array([*forward, turn * CHASE_SHARE])
         x, y, yaw = self._chase[:, None]
-        self._writer.send_poses(paths.CHASE, times, positions(x, y), about_z(yaw))
+        self._writer.send_poses(paths.CHASE, times, positions(x, y), rotation(yaw))
 
     @property
     def how_to_end(self) -> str:
@@ -249,7 +246,7 @@ class TrainingStream:
         self._steps = []
         times = (self._frames - len(cars) + np.arange(len(cars))) / self._step_hz
         self._writer.send_cars(times, cars)
-        self._writer.send_charts(times, {paths.PLOT_SPEED: speeds(cars)})
+        self._writer.send_chart(paths.PLOT_SPEED, times, speeds(cars))
 
     def add_metric(self, path: str, value: float | None) -> None:
         """Add a point to a chart, now."""

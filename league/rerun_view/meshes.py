@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from league.sim.camera.scene import BODY, BOX, PAINTS, WALL_HEIGHT, WHEEL_RADIUS, Model, Solid
+from league.sim.camera.scene import BODY, PAINTS, WALL_HEIGHT, WHEEL_RADIUS, Model, Solid
 from league.track import markings
 from league.track.track import Rgb, Track
 
@@ -32,11 +32,10 @@ class Mesh:
 def joined(*meshes: Mesh) -> Mesh:
     """Return several meshes as one."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+    triangles = [mesh.triangles + start for mesh, start in zip(meshes, starts, strict=True)]
     return Mesh(
         vertices=np.concatenate([mesh.vertices for mesh in meshes]),
-        triangles=np.concatenate(
-            [mesh.triangles + start for mesh, start in zip(meshes, starts, strict=True)]
-        ).astype(np.uint32),
+        triangles=np.concatenate(triangles).astype(np.uint32),
         normals=np.concatenate([mesh.normals for mesh in meshes]),
         colours=np.concatenate([mesh.colours for mesh in meshes]),
     )
@@ -110,23 +109,14 @@ def wheel() -> Mesh:
     return joined(*tread, *faces)
 
 
-def box(length: float, width: float, height: float, colour: Rgb) -> Mesh:
-    """Return an upright box that stands on the floor."""
-    return solid_mesh(BOX.solids[0], colour, (length, width, height))
-
-
 def solid_mesh(solid: Solid, colour: Rgb, scale: tuple[float, float, float] = (1, 1, 1)) -> Mesh:
     """Return a convex solid, faces of its own body in the given colour."""
     vertices = solid.vertices * np.array(scale)
-    middle = vertices.mean(axis=0)
-    return joined(
-        *(
-            _polygon(
-                vertices[list(face)], colour if paint == BODY else PAINTS[paint], inside=middle
-            )
-            for face, paint in zip(solid.faces, solid.paints, strict=True)
-        )
-    )
+    middle, faces = vertices.mean(axis=0), []
+    for face, paint in zip(solid.faces, solid.paints, strict=True):
+        shown = colour if paint == BODY else PAINTS[paint]
+        faces.append(_polygon(vertices[list(face)], shown, inside=middle))
+    return joined(*faces)
 
 
 def _polygon(corners: np.ndarray, colour: Rgb, *, inside: np.ndarray) -> Mesh:

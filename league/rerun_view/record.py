@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import cv2
 import numpy as np
 import rerun as rr
 
@@ -16,12 +17,12 @@ from league.atomic_file import replacing
 from league.errors import ReplayError
 from league.replay import Replay, commentary, director
 from league.rerun_view import blueprint, paths
-from league.rerun_view.scene import EYE_CAMERA, NEUTRAL, SceneWriter, about_z, positions
+from league.rerun_view.scene import EYE_CAMERA, NEUTRAL, SceneWriter, positions, rotation
 from league.sim import lidar
 from league.sim.camera.renderer import PaintRenderer
 from league.sim.camera.scene import CAR_COLOURS
 from league.sim.config import LidarConfig
-from league.video.mp4 import Coding, Mp4, interleaved
+from league.video.film import Coding, Mp4
 
 FROZEN_OPACITY = 0.35
 EVENT_LEVELS = {"crash": "ERROR", "off_track": "WARN", "contact": "WARN", "driver_fault": "ERROR"}
@@ -63,14 +64,11 @@ def _send_race(writer: SceneWriter, replay: Replay) -> None:
         bots, still = replay.spec.obstacle_kind == "bot", len(columns.obstacle_x) == 1
         things = world.obstacles[:1] if still else world.obstacles
         writer.send_obstacles(None if still else times, things, bots=bots)
-    charts = {
-        paths.PLOT_SPEED: replay.speeds,
-        paths.PLOT_GAP: replay.gaps_m,
-        paths.PLOT_STEERING: np.degrees(columns.steering),
-    }
-    writer.send_charts(times, charts)
+    writer.send_chart(paths.PLOT_SPEED, times, replay.speeds)
+    writer.send_chart(paths.PLOT_GAP, times, replay.gaps_m)
+    writer.send_chart(paths.PLOT_STEERING, times, np.degrees(columns.steering))
     chase = director.chase_path(replay)
-    writer.send_poses(paths.CHASE, times, positions(chase.x, chase.y), about_z(chase.yaw))
+    writer.send_poses(paths.CHASE, times, positions(chase.x, chase.y), rotation(chase.yaw))
     for slot in range(replay.num_cars):
         # A car that stands a penalty is transparent.
         frozen = columns.penalty_s[:, slot] > 0
@@ -138,27 +136,21 @@ def _film(replay: Replay, slot: int) -> tuple[bytes, bytes]:
     """Return what a car's left and right eye saw, as two MP4 files."""
     renderer = PaintRenderer(replay.tracks, replay.sim, EYE_CAMERA)
     films = (io.BytesIO(), io.BytesIO())
-    with (
-        Mp4(films[0], replay.step_hz, EYE_CODING) as left,
-        Mp4(films[1], replay.step_hz, EYE_CODING) as right,
-    ):
+    left, right = (Mp4(film, replay.step_hz, EYE_CODING) for film in films)
+    with left, right:
         for start in range(0, replay.num_frames, BATCH):
             world = replay.at(replay.times_s[start : start + BATCH])
             for planes in renderer.render(world, slot):  # (6, height, width)
-                left.add(interleaved(planes[:3]))
-                right.add(interleaved(planes[3:]))
+                left.add(cv2.merge(list(planes[:3])))
+                right.add(cv2.merge(list(planes[3:])))
     return films[0].getvalue(), films[1].getvalue()
 
 
 def classification(replay: Replay) -> str:
     """Return the result of the race as Markdown."""
     result = replay.result
-    lines = [
-        _head(replay),
-        "",
-        "| | driver | total | best lap | penalties |",
-        "|---:|:---|---:|---:|---:|",
-    ]
+    heads = ["| | driver | total | best lap | penalties |", "|---:|:---|---:|---:|---:|"]
+    lines = [_head(replay), "", *heads]
     for car in result.order:
         total = f"{car.total_s:.2f} s" if car.finished else times.laps(car.laps)
         best = f"{car.best_lap_s:.2f} s" if car.best_lap_s is not None else ""

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import rerun as rr
+from scipy.spatial.transform import Rotation
 
 from league.replay.replay import JUMP
 from league.rerun_view import meshes, paths
 from league.rerun_view.meshes import Mesh
 from league.sim.camera.scene import (
     BOT_COLOUR,
+    BOX,
     BOX_COLOUR,
     CAR,
     CAR_COLOURS,
@@ -118,21 +120,15 @@ class SceneWriter:
             self.send_poses(paths.car(slot), times_s, places[1:, slot], turns[:, slot])
             for which, centre in zip(paths.WHEELS, WHEEL_PLACES, strict=True):
                 steering = cars["steering"][:, slot] * ("front" in which)
-                self.send_poses(
-                    paths.wheel(slot, which),
-                    times_s,
-                    np.broadcast_to(centre, (len(cars), 3)),
-                    wheel_rotation(steering, spin[1:, slot]),
-                )
+                wheel = np.broadcast_to(centre, (len(cars), 3))
+                rolled = rotation(steering, spin[1:, slot])
+                self.send_poses(paths.wheel(slot, which), times_s, wheel, rolled)
             # One short strip a frame; the view shows the last seconds of them.
             before, now = places[:-1, slot], places[1:, slot]
             jumped = np.linalg.norm(now - before, axis=1, keepdims=True) > JUMP
             strips = np.stack([np.where(jumped, now, before), now], axis=1) + TRAIL_LIFT
-            self.send(
-                paths.trail(slot),
-                times_s,
-                rr.LineStrips3D.columns(strips=list(strips.astype(np.float32))),
-            )
+            trail = rr.LineStrips3D.columns(strips=list(strips.astype(np.float32)))
+            self.send(paths.trail(slot), times_s, trail)
 
     def send_obstacles(
         self, times_s: np.ndarray | None, obstacles: np.ndarray, *, bots: bool
@@ -143,18 +139,17 @@ class SceneWriter:
         times it is one frame of obstacles that never move.
         """
         before = self._obstacles
-        if before is not None and all(
-            (obstacles[name] == before[name]).all() for name in ("x", "y", "yaw")
-        ):
+        poses = obstacles[["x", "y", "yaw"]]
+        if before is not None and (poses == before).all():
             return
         if before is None:
             for index, thing in enumerate(obstacles[0]):
                 size = 2 * float(thing["half_length"]), 2 * float(thing["half_width"])
-                box = meshes.box(*size, ObstacleConfig().height, BOX_COLOUR)
+                box = meshes.solid_mesh(BOX.solids[0], BOX_COLOUR, (*size, ObstacleConfig().height))
                 self._mesh(paths.obstacle(index), meshes.car_body(CAR, BOT_COLOUR) if bots else box)
-        self._obstacles = obstacles[-1:].copy()
+        self._obstacles = poses[-1:].copy()
         places = positions(obstacles["x"], obstacles["y"])
-        turns = about_z(obstacles["yaw"])
+        turns = rotation(obstacles["yaw"])
         for index in range(obstacles.shape[1]):
             path = paths.obstacle(index)
             if times_s is None:
@@ -171,11 +166,10 @@ class SceneWriter:
         poses = rr.Transform3D.columns(translation=places, quaternion=turns)
         self.send(path, times_s, poses)
 
-    def send_charts(self, times_s: np.ndarray, charts: Mapping[str, np.ndarray]) -> None:
-        """Send a line for each car, (num_frames, num_cars), to charts by path."""
-        for path, values in charts.items():
-            scalars = rr.Scalars.columns(scalars=values.astype(np.float32).reshape(-1))
-            self.send(path, times_s, scalars.partition([values.shape[1]] * len(values)))
+    def send_chart(self, path: str, times_s: np.ndarray, values: np.ndarray) -> None:
+        """Send a line for each car to a chart, (num_frames, num_cars)."""
+        scalars = rr.Scalars.columns(scalars=values.astype(np.float32).reshape(-1))
+        self.send(path, times_s, scalars.partition([values.shape[1]] * len(values)))
 
     def send(self, path: str, times_s: np.ndarray, columns: rr.ComponentColumnList) -> None:
         """Send columns at race times [s]."""
@@ -200,31 +194,13 @@ def positions(x: np.ndarray, y: np.ndarray, z: np.ndarray | float = 0.0) -> np.n
     return np.stack([x, y, np.broadcast_to(z, x.shape)], axis=-1)
 
 
-def about_z(angle: np.ndarray) -> np.ndarray:
-    """Return quaternions (x, y, z, w) of turns about z [rad], (..., 4)."""
-    zero = np.zeros_like(angle)
-    return np.stack([zero, zero, np.sin(angle / 2), np.cos(angle / 2)], axis=-1)
-
-
-def rotation(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
+def rotation(
+    yaw: np.ndarray, pitch: np.ndarray | float = 0.0, roll: np.ndarray | float = 0.0
+) -> np.ndarray:
     """Return quaternions of turns about z, then the new y, then the new x [rad], (..., 4)."""
-    (sz, cz), (sy, cy), (sx, cx) = (
-        (np.sin(angle / 2), np.cos(angle / 2)) for angle in (yaw, pitch, roll)
-    )
-    return np.stack(
-        [
-            cz * cy * sx - sz * sy * cx,
-            cz * sy * cx + sz * cy * sx,
-            sz * cy * cx - cz * sy * sx,
-            cz * cy * cx + sz * sy * sx,
-        ],
-        axis=-1,
-    )
-
-
-def wheel_rotation(steering: np.ndarray, spin: np.ndarray) -> np.ndarray:
-    """Return quaternions of a wheel steered about z, then rolled about its own axle, (..., 4)."""
-    return rotation(steering, spin, np.zeros_like(spin))
+    angles = np.stack(np.broadcast_arrays(yaw, pitch, roll), axis=-1)
+    turns = Rotation.from_euler("ZYX", angles.reshape(-1, 3)).as_quat()
+    return turns.reshape(*angles.shape[:-1], 4)
 
 
 def wheel_spin(cars: np.ndarray, step_hz: int) -> np.ndarray:

@@ -33,7 +33,7 @@ from urllib.parse import quote, urlsplit
 import rerun as rr
 import rerun.blueprint as rrb
 
-from league.errors import ReplayError
+from league.errors import ReplayError, explaining
 from league.rerun_view import paths
 from league.subprocesses import die_with_parent
 
@@ -174,12 +174,9 @@ class Server(ThreadingHTTPServer):
             f"style-src 'self' 'unsafe-inline'; connect-src 'self' {connect}".strip()
         )
         """Content-Security-Policy: nothing from any other origin."""
-        try:
+        failure = f"port {port} cannot be listened on"
+        with explaining(failure, ReplayError, "give another, or 0 for any"):
             super().__init__((HOST, port), _Handler)
-        except OSError as error:
-            raise ReplayError(
-                f"port {port} cannot be listened on ({error.strerror}): give another, or 0 for any"
-            ) from error
         self.port = self.server_address[1]
         self.origin = f"http://{HOST}:{self.port}"
         self.url = f"{self.origin}/?{query.format(origin=quote(self.origin, safe=''))}&{OPTIONS}"

@@ -3,9 +3,6 @@
 The rules, with a drawing of each case: docs/rules.md.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 
 import numpy as np
@@ -17,16 +14,12 @@ from league.sim.records import NOBODY
 from league.sim.settings import GRAVITY
 from league.track.projection import curvature_at, frame_at, signed_gap
 
-_SIDEWAYS = f32(0.05)
-"""Slower movement to the side is none [m/s]."""
+_SIDEWAYS = f32(0.05)  # slower movement to the side is none [m/s]
 _CHAIN_STEPS = 3
 """A contact is passed on if the pushed car touches a third one within so many steps, no harder."""
-PACE_EVERY = 16
-"""Steps between two looks at how fast cars drive."""
-_FAR_SLOWER = f32(0.5)
-"""A car below this share of its own pace is in the way."""
-_CLEAR_AHEAD = f32(1.5)
-"""A car may be slow for what is this close ahead of it [m]."""
+PACE_EVERY = 16  # steps between two looks at how fast cars drive
+_FAR_SLOWER = f32(0.5)  # a car below this share of its own pace is in the way
+_CLEAR_AHEAD = f32(1.5)  # a car may be slow for what is this close ahead of it [m]
 _LOOK = np.array((-0.8, -0.4, 0.0, 0.4, 0.8, 1.2), np.float32)
 """Where bends limit the speed: behind the car too, because it has to gain speed after them [m]."""
 _LEAST_BEND = f32(1e-3)

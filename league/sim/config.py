@@ -1,4 +1,4 @@
-"""Settings of the world as frozen data; the string under a field is its documentation and its help.
+"""Settings of the world as frozen data.
 
 Sources: "the original" is AWS DeepRacer, its Gazebo URDF and its rules; the rest is
 argued in docs/physics.md.
@@ -18,66 +18,52 @@ RaceFormat = Literal["standing", "reverse", "qualifying", "pursuit"]
 """How cars line up. Reverse and qualifying are standing grids in an order of their own."""
 StartName = Literal["standing", "pursuit"]
 MAX_CARS, MAX_OBSTACLES = 8, 32
-GRAVITY = 9.81
-"""[m/s^2]."""
-USUAL_OBSTACLES = 6
-"""Boxes or bots in obstacle_avoidance, unless their number is given."""
+GRAVITY = 9.81  # [m/s^2]
+USUAL_OBSTACLES = 6  # boxes or bots in obstacle_avoidance, unless their number is given
 
 
 @dataclass(frozen=True)
 class CarConfig(Checked, what="car"):
     """One car's body, drive, steering and tyres."""
 
-    wheelbase: float = ranged(0.164, 0.01, 10.0)
-    """Distance between the axles [m]."""
+    wheelbase: float = ranged(0.164, 0.01, 10.0)  # distance between the axles [m]
+    # distance between left and right wheel centres [m]
     wheel_track: float = ranged(0.16, 0.01, 10.0)
-    """Distance between left and right wheel centres [m]."""
-    wheel_radius: float = ranged(0.035, 0.001, 10.0)
-    """Radius of a wheel [m]."""
+    wheel_radius: float = ranged(0.035, 0.001, 10.0)  # radius of a wheel [m]
+    # length of the footprint [m], centred on the base, which is midway between the axles
     length: float = ranged(0.324, 0.01, 10.0)
-    """Length of the footprint [m], centred on the base, which is midway between the axles."""
-    width: float = ranged(0.196, 0.01, 10.0)
-    """Width of the footprint [m]."""
-    height: float = ranged(0.194, 0.01, 10.0)
-    """Height of the body [m]."""
+    width: float = ranged(0.196, 0.01, 10.0)  # width of the footprint [m]
+    height: float = ranged(0.194, 0.01, 10.0)  # height of the body [m]
+    # how far the reference point of x, y and progress lies ahead of the base [m]
     nose: float = ranged(0.14, -10.0, 10.0)
-    """How far the reference point of x, y and progress lies ahead of the base [m]."""
+    # mass [kg]; the original's is 8.22 with stereo cameras and lidar
     mass: float = ranged(8.2, 0.01, 1e4)
-    """Mass [kg]; the original's is 8.22 with stereo cameras and lidar."""
-    yaw_inertia: float = ranged(0.085, 1e-6, 1e5)
-    """Moment of inertia about the vertical [kg m^2]."""
+    yaw_inertia: float = ranged(0.085, 1e-6, 1e5)  # moment of inertia about the vertical [kg m^2]
+    # moment of inertia about the long axis [kg m^2]; read by the bullet solver
     roll_inertia: float = ranged(0.04, 1e-6, 1e5)
-    """Moment of inertia about the long axis [kg m^2]; read by the bullet solver."""
+    # moment of inertia about the lateral axis [kg m^2]; read by the bullet solver
     pitch_inertia: float = ranged(0.09, 1e-6, 1e5)
-    """Moment of inertia about the lateral axis [kg m^2]; read by the bullet solver."""
+    # height of the centre of mass above the ground [m]; sets the load moved by braking
     mass_height: float = ranged(0.05, 0.0, 10.0)
-    """Height of the centre of mass above the ground [m]; sets the load moved by braking."""
+    # height of the chassis' underside above the ground [m]; read by the bullet solver
     clearance: float = ranged(0.025, 0.0, 10.0)
-    """Height of the chassis' underside above the ground [m]; read by the bullet solver."""
+    # frequency at which the chassis bounces on its springs [Hz]; read by the bullet solver
     ride_hz: float = ranged(6.0, 0.1, 20.0)
-    """Frequency at which the chassis bounces on its springs [Hz]; read by the bullet solver."""
+    # share of the critical damping of that motion; read by the bullet solver
     damping_ratio: float = ranged(0.6, 0.0, 2.0)
-    """Share of the critical damping of that motion; read by the bullet solver."""
-    grip: float = ranged(0.7, 0.01, 10.0)
-    """Friction coefficient between tyre and road."""
+    grip: float = ranged(0.7, 0.01, 10.0)  # friction coefficient between tyre and road
+    # lateral force per load and per unit slip at small slip [1/rad]
     cornering_stiffness: float = ranged(12.0, 0.0, 1000.0)
-    """Lateral force per load and per unit slip at small slip [1/rad]."""
+    # largest steering angle to either side [rad] (30 deg)
     max_steering: float = ranged(0.5235987755982988, 0.01, 1.5)
-    """Largest steering angle to either side [rad] (30 deg)."""
-    steering_rate: float = ranged(7.0, 0.01, 1e6)
-    """Fastest change of the steering angle [rad/s]."""
-    min_speed: float = ranged(0.1, 0.0, 100.0)
-    """Smallest speed command [m/s]; there is no reverse."""
-    max_speed: float = ranged(4.0, 0.01, 100.0)
-    """Largest speed command [m/s]."""
-    max_acceleration: float = ranged(4.0, 0.01, 1000.0)
-    """Largest acceleration of the drive [m/s^2]."""
-    max_braking: float = ranged(5.0, 0.01, 1000.0)
-    """Largest deceleration of the drive [m/s^2]."""
-    speed_gain: float = ranged(12.0, 0.01, 1e6)
-    """Acceleration asked per unit of speed error [1/s]."""
+    steering_rate: float = ranged(7.0, 0.01, 1e6)  # fastest change of the steering angle [rad/s]
+    min_speed: float = ranged(0.1, 0.0, 100.0)  # smallest speed command [m/s]; there is no reverse
+    max_speed: float = ranged(4.0, 0.01, 100.0)  # largest speed command [m/s]
+    max_acceleration: float = ranged(4.0, 0.01, 1000.0)  # largest acceleration of the drive [m/s^2]
+    max_braking: float = ranged(5.0, 0.01, 1000.0)  # largest deceleration of the drive [m/s^2]
+    speed_gain: float = ranged(12.0, 0.01, 1e6)  # acceleration asked per unit of speed error [1/s]
+    # time from an action to the servos [s], up to one control step
     latency_s: float = ranged(0.0, 0.0, 1.0)
-    """Time from an action to the servos [s], up to one control step."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -112,36 +98,27 @@ class CarConfig(Checked, what="car"):
 class ContactConfig(Checked, what="contact"):
     """How bodies touch."""
 
-    friction: float = ranged(0.3, 0.0, 10.0)
-    """Friction coefficient between two bodies."""
-    restitution: float = ranged(0.15, 0.0, 1.0)
-    """Share of the approach speed that comes back."""
+    friction: float = ranged(0.3, 0.0, 10.0)  # friction coefficient between two bodies
+    restitution: float = ranged(0.15, 0.0, 1.0)  # share of the approach speed that comes back
 
 
 @dataclass(frozen=True)
 class CameraConfig(Checked, what="camera"):
     """A pair of parallel cameras, or one."""
 
-    width: int = ranged(160, 8, 1920)
-    """Pixels across."""
-    height: int = ranged(120, 8, 1080)
-    """Pixels down."""
-    colour: bool = False
-    """RGB instead of gray."""
+    width: int = ranged(160, 8, 1920)  # pixels across
+    height: int = ranged(120, 8, 1080)  # pixels down
+    colour: bool = False  # RGB instead of gray
+    # both eyes, the left one alone, or one in the middle
     eyes: Literal["stereo", "left", "mono"] = "stereo"
-    """Both eyes, the left one alone, or one in the middle."""
-    field_of_view: float = ranged(1.13, 0.1, 2.6)
-    """Horizontal field of view [rad] (64.7 deg)."""
-    forward: float = ranged(0.145, -10.0, 10.0)
-    """Ahead of the base [m]."""
-    up: float = ranged(0.130, 0.0, 10.0)
-    """Above the ground [m]."""
+    field_of_view: float = ranged(1.13, 0.1, 2.6)  # horizontal field of view [rad] (64.7 deg)
+    forward: float = ranged(0.145, -10.0, 10.0)  # ahead of the base [m]
+    up: float = ranged(0.130, 0.0, 10.0)  # above the ground [m]
+    # downward tilt [rad] (15 deg)
     pitch: float = ranged(0.2617993877991494, -math.pi / 2, math.pi / 2)
-    """Downward tilt [rad] (15 deg)."""
-    baseline: float = ranged(0.060, 0.0, 1.0)
-    """Distance between the eyes [m]."""
+    baseline: float = ranged(0.060, 0.0, 1.0)  # distance between the eyes [m]
+    # new pictures per second; at most one for each control step
     rate_hz: float = ranged(15.0, 0.001, 1000.0)
-    """New pictures per second; at most one for each control step."""
 
     @property
     def num_eyes(self) -> int:
@@ -161,49 +138,33 @@ class VisualRandomization(Checked, what="look"):
     Light, colours and blur are drawn once for each race, noise for each picture.
     """
 
+    # share by which a picture is brighter or darker (0.3: 70 % to 130 %)
     light: float = ranged(0.0, 0.0, 0.95)
-    """Share by which a picture is brighter or darker (0.3: 70 % to 130 %)."""
+    # share by which red, green and blue of each body, and of each colour picture, differ
     colour: float = ranged(0.0, 0.0, 0.95)
-    """Share by which red, green and blue of each body, and of each colour picture, differ."""
-    noise: float = ranged(0.0, 0.0, 64.0)
-    """Largest standard deviation of a pixel, of 255."""
-    blur: float = ranged(0.0, 0.0, 0.8)
-    """Largest standard deviation of the blur [px], up to 0.8."""
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether nothing is drawn."""
-        return not (self.light or self.colour or self.noise or self.blur)
+    noise: float = ranged(0.0, 0.0, 64.0)  # largest standard deviation of a pixel, of 255
+    blur: float = ranged(0.0, 0.0, 0.8)  # largest standard deviation of the blur [px], up to 0.8
 
 
 @dataclass(frozen=True)
 class LidarConfig(Checked, what="lidar"):
     """A flat scan that looks to the rear and is blind ahead."""
 
+    # number of beams, spread evenly from -half_angle to +half_angle about the rear
     beams: int = ranged(64, 1, 4096)
-    """Number of beams, spread evenly from -half_angle to +half_angle about the rear."""
+    # half of the scan about the rear [rad] (150 deg)
     half_angle: float = ranged(2.6179938779914944, 0.001, math.pi)
-    """Half of the scan about the rear [rad] (150 deg)."""
-    forward: float = ranged(0.0291, -10.0, 10.0)
-    """Ahead of the base [m]."""
-    up: float = ranged(0.185, 0.0, 10.0)
-    """Above the ground [m]."""
-    min_range: float = ranged(0.15, 0.0, 1e6)
-    """Shortest range reported [m]."""
-    max_range: float = ranged(12.0, 0.0, 1e6)
-    """Longest range reported [m]."""
-    noise: float = ranged(0.01, 0.0, 100.0)
-    """Standard deviation of a range [m]."""
-    rate_hz: float = ranged(10.0, 0.001, 1000.0)
-    """Scans per second."""
+    forward: float = ranged(0.0291, -10.0, 10.0)  # ahead of the base [m]
+    up: float = ranged(0.185, 0.0, 10.0)  # above the ground [m]
+    min_range: float = ranged(0.15, 0.0, 1e6)  # shortest range reported [m]
+    max_range: float = ranged(12.0, 0.0, 1e6)  # longest range reported [m]
+    noise: float = ranged(0.01, 0.0, 100.0)  # standard deviation of a range [m]
+    rate_hz: float = ranged(10.0, 0.001, 1000.0)  # scans per second
+    # ranges [m], or 1 for each sector with something within 0.5 m, or one-hot bins per sector
     form: Literal["ranges", "sectors", "discretised"] = "ranges"
-    """ranges [m], or 1 for each sector with something within 0.5 m, or one-hot bins per sector."""
-    sectors: int = ranged(8, 1, 4096)
-    """Number of sectors of the two coarse forms; divides beams."""
-    bins: int = ranged(8, 1, 1024)
-    """Bins per sector of the discretised form."""
-    clip: float = ranged(2.0, 0.001, 1e6)
-    """Range covered by the bins [m]."""
+    sectors: int = ranged(8, 1, 4096)  # number of sectors of the two coarse forms; divides beams
+    bins: int = ranged(8, 1, 1024)  # bins per sector of the discretised form
+    clip: float = ranged(2.0, 0.001, 1e6)  # range covered by the bins [m]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -224,25 +185,22 @@ class LidarConfig(Checked, what="lidar"):
         return sizes.get(self.form, self.sectors * self.bins)
 
 
-FRAME_STEPS = 3
-"""Control steps from one of a driver's pictures to the one before: 0.2 s."""
+FRAME_STEPS = 3  # control steps from one of a driver's pictures to the one before: 0.2 s
 
 
 @dataclass(frozen=True)
 class SensorConfig(Checked, what="sensor"):
     """What one car carries; own motion (speed, yaw rate, last action) is always there."""
 
-    camera: CameraConfig | None = None
-    """Its camera, if any."""
-    lidar: LidarConfig | None = None
-    """Its lidar, if any."""
+    camera: CameraConfig | None = None  # its camera, if any
+    lidar: LidarConfig | None = None  # its lidar, if any
+    # how many earlier readings of own motion and lidar it keeps, one of each control step
     history: int = ranged(0, 0, 16)
-    """How many earlier readings of own motion and lidar it keeps, one of each control step."""
+    # Pictures of the camera that it is given: the newest one, and earlier ones, each FRAME_STEPS
+    # control steps before the next. From one alone it cannot see how fast a car ahead is.
     frames: int = ranged(1, 1, 8)
-    """Pictures of the camera that it is given: the newest one, and earlier ones, each FRAME_STEPS
-    control steps before the next. From one alone it cannot see how fast a car ahead is."""
+    # whether it is given the true state, as no real car is; leagues refuse such drivers
     truth: bool = False
-    """Whether it is given the true state, as no real car is; leagues refuse such drivers."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -268,27 +226,22 @@ class SensorConfig(Checked, what="sensor"):
 class ObstacleConfig(Checked, what="obstacle"):
     """Boxes or slow bot cars on the track."""
 
+    # how many, 0 to 32; None: one at each of `places`, or else six in obstacle_avoidance and none
+    # in the other kinds
     count: int | None = None
-    """How many, 0 to 32; None: one at each of `places`, or else six in obstacle_avoidance and none
-    in the other kinds."""
+    # a standing box, or a car that follows a lane at constant speed
     kind: Literal["box", "bot"] = "box"
-    """A standing box, or a car that follows a lane at constant speed."""
+    # random places and lanes for each race; otherwise even spacing and alternating lanes
     random_places: bool = True
-    """Random places and lanes for each race; otherwise even spacing and alternating lanes."""
+    # fixed places instead: (fraction of the lap, lane: +1 left to -1 right)
     places: tuple[tuple[float, float], ...] = ()
-    """Fixed places instead: (fraction of the lap, lane: +1 left to -1 right)."""
+    # smallest distance between two of them along the track [m], as far as the lap allows
     min_distance: float = ranged(2.0, 0.0, 100.0)
-    """Smallest distance between two of them along the track [m], as far as the lap allows."""
-    speed: float = ranged(0.5, 0.0, 12.0)
-    """Speed of a bot car [m/s]."""
-    lane_change: bool = True
-    """Whether bot cars change lanes every 3 to 5 s, over 1 m."""
-    length: float = ranged(0.4, 0.01, 2.0)
-    """Length of a box along the track [m]."""
-    width: float = ranged(0.3, 0.01, 2.0)
-    """Width of a box across the track [m]."""
-    height: float = ranged(0.25, 0.01, 2.0)
-    """Height of a box [m]."""
+    speed: float = ranged(0.5, 0.0, 12.0)  # speed of a bot car [m/s]
+    lane_change: bool = True  # whether bot cars change lanes every 3 to 5 s, over 1 m
+    length: float = ranged(0.4, 0.01, 2.0)  # length of a box along the track [m]
+    width: float = ranged(0.3, 0.01, 2.0)  # width of a box across the track [m]
+    height: float = ranged(0.25, 0.01, 2.0)  # height of a box [m]
 
     def __post_init__(self) -> None:
         whole = isinstance(self.count, int) and is_number(self.count, 0, MAX_OBSTACLES)
@@ -321,45 +274,42 @@ def _is_place(place: object) -> bool:
 class RaceRules(Checked):
     """What ends a stretch, what it costs and how the order is made."""
 
-    laps: int = ranged(3, 1, 1000)
-    """Laps to drive."""
+    laps: int = ranged(3, 1, 1000)  # laps to drive
+    # order by total time, best lap or best mean of consecutive laps (RaceSpec.average_laps)
     ranking: Literal["total", "best", "average"] = "total"
-    """Order by total time, best lap or best mean of consecutive laps (RaceSpec.average_laps)."""
+    # where cars start: one behind the other from the line, or, in a pursuit, spread evenly round
+    # the lap, each with its laps counted from its own place
     start: StartName = "standing"
-    """Where cars start: one behind the other from the line, or, in a pursuit, spread evenly round
-    the lap, each with its laps counted from its own place."""
+    # Whether cars owe each other room (docs/rules.md). Otherwise the rear car is to blame for each
+    # contact, whatever happened, and a pass counts even of or by a ghost, as in DeepRacer.
     room: bool = True
-    """Whether cars owe each other room (docs/rules.md). Otherwise the rear car is to blame for each
-    contact, whatever happened, and a pass counts even of or by a ghost, as in DeepRacer."""
+    # closing speed below which a contact of cars is counted, but not penalised [m/s]
     light_contact: float = ranged(0.3, 0.0, 100.0)
-    """Closing speed below which a contact of cars is counted, but not penalised [m/s]."""
+    # closing speed from which a contact costs all of `crash_penalty_s` [m/s]; from `light_contact`
+    # on the penalty grows in proportion
     full_contact: float = ranged(1.5, 0.0, 100.0)
-    """Closing speed from which a contact costs all of `crash_penalty_s` [m/s]; from `light_contact`
-    on the penalty grows in proportion."""
+    # how long after a contact leaving the road is the fault of the car to blame for it [s]
     forced_off_s: float = ranged(0.5, 0.0, 10.0)
-    """How long after a contact leaving the road is the fault of the car to blame for it [s]."""
+    # seconds frozen after all four wheels left the road
     off_track_penalty_s: float = ranged(2.0, 0.0, 600.0)
-    """Seconds frozen after all four wheels left the road."""
+    # seconds frozen for the hardest contact, and for any with an obstacle
     crash_penalty_s: float = ranged(5.0, 0.0, 600.0)
-    """Seconds frozen for the hardest contact, and for any with an obstacle."""
-    reversed_penalty_s: float = ranged(2.0, 0.0, 600.0)
-    """Seconds frozen after driving backwards."""
-    immobilised_penalty_s: float = ranged(2.0, 0.0, 600.0)
-    """Seconds frozen after standing still."""
+    reversed_penalty_s: float = ranged(2.0, 0.0, 600.0)  # seconds frozen after driving backwards
+    immobilised_penalty_s: float = ranged(2.0, 0.0, 600.0)  # seconds frozen after standing still
+    # steps in a row without movement, or backwards, before the rule fires
     patience_steps: int = ranged(15, 1, 10_000)
-    """Steps in a row without movement, or backwards, before the rule fires."""
+    # movement per step that counts as standing still [m]
     still_distance: float = ranged(0.0003, 0.0, 1.0)
-    """Movement per step that counts as standing still [m]."""
+    # distance between two places of the starting grid along the track [m]
     grid_gap: float = ranged(0.75, 0.2, 10.0)
-    """Distance between two places of the starting grid along the track [m]."""
+    # how far ahead a car must be before it has passed another [m] (half a car)
     overtake_margin: float = ranged(0.162, 0.0, 10.0)
-    """How far ahead a car must be before it has passed another [m] (half a car)."""
+    # how long bot cars stand after they ran into a car ahead of them [s]
     bot_stop_s: float = ranged(2.0, 0.0, 600.0)
-    """How long bot cars stand after they ran into a car ahead of them [s]."""
+    # where a crashed car is put back: this far behind what it hit [m]
     put_back_behind: float = ranged(1.0, 0.0, 10.0)
-    """Where a crashed car is put back: this far behind what it hit [m]."""
+    # the race is stopped after this time [s]; 0: 30 s plus the laps at 0.25 m/s
     max_time_s: float = ranged(0.0, 0.0, 1e6)
-    """The race is stopped after this time [s]; 0: 30 s plus the laps at 0.25 m/s."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -384,45 +334,33 @@ class DynamicsRandomization(Checked, what="spread"):
     Shares are of the setting (0.2: 80 % to 120 %), all others absolute, all uniform.
     """
 
-    grip: float = ranged(0.0, 0.0, 0.95)
-    """Share of the grip."""
-    mass: float = ranged(0.0, 0.0, 0.95)
-    """Share of the mass."""
-    latency_s: float = ranged(0.0, 0.0, 1.0)
-    """Largest extra latency [s]."""
-    steering_offset: float = ranged(0.0, 0.0, 0.5)
-    """Largest error of the steering's zero [rad]."""
+    grip: float = ranged(0.0, 0.0, 0.95)  # share of the grip
+    mass: float = ranged(0.0, 0.0, 0.95)  # share of the mass
+    latency_s: float = ranged(0.0, 0.0, 1.0)  # largest extra latency [s]
+    steering_offset: float = ranged(0.0, 0.0, 0.5)  # largest error of the steering's zero [rad]
+    # largest speed at the start of a race [m/s]; the episodes of training do not read it
     start_speed: float = ranged(0.0, 0.0, 12.0)
-    """Largest speed at the start of a race [m/s]; the episodes of training do not read it."""
-    camera_position: float = ranged(0.0, 0.0, 1.0)
-    """Largest shift of the camera in height [m]."""
-    camera_angle: float = ranged(0.0, 0.0, 0.5)
-    """Largest tilt of the camera in pitch [rad]."""
+    camera_position: float = ranged(0.0, 0.0, 1.0)  # largest shift of the camera in height [m]
+    camera_angle: float = ranged(0.0, 0.0, 0.5)  # largest tilt of the camera in pitch [rad]
 
 
 @dataclass(frozen=True)
 class SimConfig(Checked):
     """Everything the world needs but its tracks, seeds and drivers."""
 
+    # a time trial is driven alone on an empty track; in the other two there may be any number of
+    # cars, at least two in head_to_head, and of obstacles
     kind: RaceKind = "time_trial"
-    """A time trial is driven alone on an empty track; in the other two there may be any number of
-    cars, at least two in head_to_head, and of obstacles."""
-    num_cars: int = ranged(1, 1, MAX_CARS)
-    """Cars in each world."""
+    num_cars: int = ranged(1, 1, MAX_CARS)  # cars in each world
+    # control steps per second; exactly this, whatever the machine does
     step_hz: int = ranged(15, 1, 1000)
-    """Control steps per second; exactly this, whatever the machine does."""
-    decimation: int = ranged(8, 1, 1000)
-    """Physics steps in each control step."""
-    car: CarConfig = field(default_factory=CarConfig)
-    """The cars."""
-    contact: ContactConfig = field(default_factory=ContactConfig)
-    """How bodies touch."""
-    obstacles: ObstacleConfig = field(default_factory=ObstacleConfig)
-    """Obstacles."""
-    rules: RaceRules = field(default_factory=RaceRules)
-    """The rules."""
+    decimation: int = ranged(8, 1, 1000)  # physics steps in each control step
+    car: CarConfig = field(default_factory=CarConfig)  # the cars
+    contact: ContactConfig = field(default_factory=ContactConfig)  # how bodies touch
+    obstacles: ObstacleConfig = field(default_factory=ObstacleConfig)  # obstacles
+    rules: RaceRules = field(default_factory=RaceRules)  # the rules
+    # randomisation of the cars
     spread: DynamicsRandomization = field(default_factory=DynamicsRandomization)
-    """Randomisation of the cars."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -5,11 +5,6 @@ The lidar looks to the rear. Beam 0 points half_angle clockwise from the rear, w
 side, and the last one points 30 deg to the right of straight ahead. The wedge ahead is blind.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -21,8 +16,7 @@ from league.sim.records import World
 from league.sim.rng import normal_of
 from league.track.track import TrackSet
 
-NEAR_SECTOR = 0.5
-"""A sector reads 1 when something stands within this range [m]."""
+NEAR_SECTOR = 0.5  # a sector reads 1 when something stands within this range [m]
 
 _NOISE = 7_320_001  # purpose of the draws (see league.sim.rng)
 _FAR, _TINY, _ZERO, _HALF = f32(1e9), f32(1e-9), f32(0.0), f32(0.5)

@@ -148,8 +148,7 @@ VERDICT = np.dtype(
 )
 """What the referee found about one car in one control step."""
 
-NOBODY = -1
-"""No car and no obstacle."""
+NOBODY = -1  # no car and no obstacle
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,12 +158,9 @@ class World:
     An environment's own World is live: its arrays change with each step; take a copy to keep it.
     """
 
-    worlds: np.ndarray
-    """WORLD records, (num_worlds,)."""
-    cars: np.ndarray
-    """CAR records, (num_worlds, num_cars)."""
-    obstacles: np.ndarray
-    """OBSTACLE records, (num_worlds, num_obstacles)."""
+    worlds: np.ndarray  # WORLD records, (num_worlds,)
+    cars: np.ndarray  # CAR records, (num_worlds, num_cars)
+    obstacles: np.ndarray  # OBSTACLE records, (num_worlds, num_obstacles)
 
     @property
     def num_worlds(self) -> int:

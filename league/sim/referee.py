@@ -5,9 +5,6 @@ cars' book; it moves no car. `penalise` applies the race's penalties; in trainin
 episode instead. Who is to blame for a contact: blame.py. The rules: docs/rules.md.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import numpy as np
 
 from league.jit import compiled, inner
@@ -26,18 +23,11 @@ _ZERO, _ONE = f32(0.0), f32(1.0)
 
 @compiled
 def judge(before, cars, obstacles, world, verdicts, contacts, points, course, settings):
-    """Write down what happened to the cars of one world in a control step.
+    """Write down what happened to the cars of one world in a control step; see records.py.
 
-    Args:
-        before: CAR records (num_cars,) before the step.
-        cars: CAR records after physics, still with the old book, which is brought up to date.
-        obstacles: OBSTACLE records (num_obstacles,) after the step.
-        world: WORLD record, its step counted up; leader and lead_changes are brought up to date.
-        verdicts: VERDICT records (num_cars,); overwritten.
-        contacts: CONTACT records (num_cars,).
-        points: of the TrackSet.
-        course: COURSE record of the world's track.
-        settings: SETTINGS record.
+    `before` are the cars before the step, `cars` those after physics, still with the old book; it
+    is brought up to date, and so are `leader` and `lead_changes` of the world, after its step was
+    counted up. Verdicts are overwritten.
     """
     wanted = world.step % blame.PACE_EVERY == 0
     for c in range(len(cars)):
@@ -127,10 +117,7 @@ def _mistakes(old, car, seen, touched, settings):
 
 @inner
 def _lap(old, car, world, seen, course, settings):
-    """Count a lap, forward only; the time of crossing is interpolated within the step.
-
-    An open track is driven once, however many laps were asked.
-    """
+    """Count a lap, forward only; the time of crossing is interpolated within the step."""
     target = f32(old.laps + 1) * lap_length(course)
     seen.lap = grid.is_racing(old) and car.distance >= target > old.best_distance
     seen.finished = False
@@ -145,6 +132,7 @@ def _lap(old, car, world, seen, course, settings):
     car.best_lap_s = min(old.best_lap_s, car.last_lap_s)
     car.lap_start_s = crossing
     car.laps = old.laps + 1
+    # An open track is driven once, however many laps were asked.
     if car.laps >= (settings.laps if course.closed else 1):
         seen.finished, car.finish_s = True, crossing
 
@@ -163,9 +151,13 @@ def _order(before, cars, world, verdicts, course, settings):
         for other in range(num_cars):
             was_ahead = (before[c].ahead >> other) & 1 == 1
             if by_time and min(cars[c].finish_s, cars[other].finish_s) < _INFINITE:
-                is_ahead = _is_home_before(cars[c], cars[other], was_ahead)
+                level = cars[c].finish_s == cars[other].finish_s
+                is_ahead = cars[c].finish_s < cars[other].finish_s or (level and was_ahead)
             else:
-                is_ahead = _is_ahead(cars[c], cars[other], was_ahead, course, settings)
+                # A pair changes only when the pass is clear; no car is ahead of itself. No
+                # branches: they could not be predicted.
+                lead, margin = _lead(cars[c], cars[other], course), settings.overtake_margin
+                is_ahead = (lead > margin) | (was_ahead & (lead >= -margin))
             ahead |= is_ahead << other
         new = ahead & ~before[c].ahead
         for other in range(num_cars if new else 0):
@@ -209,21 +201,6 @@ def _lead(car, rival, course):
         return car.distance - rival.distance
     # Cars with laps that begin at different places are compared by who is ahead on the road.
     return signed_gap(course, car.s, rival.s)
-
-
-@inner
-def _is_ahead(car, rival, was_ahead, course, settings):
-    """Return whether a car is ahead of another; a pair changes only when the pass is clear.
-
-    No car is ahead of itself. No branches: they could not be predicted.
-    """
-    lead, margin = _lead(car, rival, course), settings.overtake_margin
-    return (lead > margin) | (was_ahead & (lead >= -margin))
-
-
-@inner
-def _is_home_before(car, rival, was_ahead):
-    return car.finish_s < rival.finish_s or (car.finish_s == rival.finish_s and was_ahead)
 
 
 @inner
@@ -361,12 +338,9 @@ def running_order(cars, pursuit):
 
 
 def wheel_positions(half_base: float, half_track: float, cars: np.ndarray) -> np.ndarray:
-    """Return the wheel centres in the world frame [m], (num_worlds, num_cars, 4, 2).
+    """Return the wheel centres of CAR records in the world frame [m], (*cars.shape, 4, 2).
 
-    Args:
-        half_base: from the base to either axle [m].
-        half_track: from the middle of an axle to its wheels [m].
-        cars: CAR records (num_worlds, num_cars).
+    `half_base` is from the base to either axle, `half_track` from its middle to its wheels [m].
     """
     cos, sin = np.cos(cars["yaw"])[..., None], np.sin(cars["yaw"])[..., None]
     along = np.array([half_base, half_base, -half_base, -half_base], np.float32)

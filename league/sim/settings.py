@@ -1,19 +1,16 @@
 """Settings of the world as one record of numbers, which is how compiled code reads them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
 from league.sim.config import GRAVITY, CarConfig, SimConfig
 
-HALF_WALL = 5.0
-"""Half the thickness of a wall [m]."""
-RESTITUTION_FROM = 0.05
-"""Slowest approach that bounces [m/s]."""
+HALF_WALL = 5.0  # half the thickness of a wall [m]
+RESTITUTION_FROM = 0.05  # slowest approach that bounces [m/s]
 
 _F4, _I8, _BOOL = np.float32, np.int64, np.bool_
+_KINDS: dict[type, type] = {float: _F4, int: _I8, bool: _BOOL}
 
 
 def settings(sim: SimConfig) -> np.ndarray:
@@ -57,16 +54,13 @@ def _fields(sim: SimConfig) -> tuple[tuple[str, type, float], ...]:
     # Inertia grows with mass, so min(mass, inertia / arm^2) is a fixed share of the mass.
     share = 0.5 * min(1.0, car.yaw_inertia / car.mass / arm**2)
 
-    def seconds(penalty_s: float) -> float:
-        # At least one step: the car is put back by the end of its penalty.
-        return max(penalty_s, sim.step_dt)
-
+    penalties = ("off_track", "crash", "immobilised", "reversed")
     return (
-        ("decimation", _I8, sim.decimation),  # physics steps in a control step
+        *_as_they_are(sim, "decimation", "step_dt", "physics_dt"),
         ("step_hz", _F4, sim.step_hz),  # control steps per second
-        ("step_dt", _F4, sim.step_dt),  # [s]
-        ("physics_dt", _F4, sim.physics_dt),  # [s]
         # The car.
+        *_as_they_are(car, "max_steering", "min_speed", "max_speed"),
+        *_as_they_are(car, "max_acceleration", "max_braking"),
         ("arm", _F4, arm),  # from the base to either axle [m]
         ("half_track", _F4, car.wheel_track / 2),  # from the middle of an axle to its wheels [m]
         ("half_length", _F4, car.length / 2),  # of the footprint [m]
@@ -74,12 +68,7 @@ def _fields(sim: SimConfig) -> tuple[tuple[str, type, float], ...]:
         ("radius", _F4, math.sqrt(car.length**2 + car.width**2) / 2),  # of the footprint [m]
         # From the base to a wheel [m].
         ("wheel_reach", _F4, math.sqrt(car.wheelbase**2 + car.wheel_track**2) / 2),
-        ("max_steering", _F4, car.max_steering),  # [rad]
         ("max_turn", _F4, car.steering_rate * sim.physics_dt),  # of the steering in a step [rad]
-        ("min_speed", _F4, car.min_speed),  # smallest and largest speed command [m/s]
-        ("max_speed", _F4, car.max_speed),
-        ("max_acceleration", _F4, car.max_acceleration),  # [m/s^2]
-        ("max_braking", _F4, car.max_braking),  # [m/s^2]
         # Acceleration asked per unit of speed error [1/s]. A servo that asks for more than the
         # whole error in one step would swing about it.
         ("gain", _F4, min(car.speed_gain, 1 / sim.physics_dt)),
@@ -92,10 +81,8 @@ def _fields(sim: SimConfig) -> tuple[tuple[str, type, float], ...]:
         ("roll_of_left", _F4, roll),  # [rad per m/s^2]
         ("pitch_of_brakes", _F4, pitch),  # [rad per m/s^2]
         ("lean_share", _F4, lean_share),
-        # The car and its latency without variation, and how far cars vary.
-        ("grip", _F4, car.grip),
-        ("mass", _F4, car.mass),  # [kg]
-        ("latency_s", _F4, car.latency_s),
+        # The car without variation, and how far cars vary.
+        *_as_they_are(car, "grip", "mass", "latency_s"),
         ("grip_spread", _F4, spread.grip),
         ("mass_spread", _F4, spread.mass),
         ("latency_spread_s", _F4, spread.latency_s),
@@ -103,38 +90,35 @@ def _fields(sim: SimConfig) -> tuple[tuple[str, type, float], ...]:
         ("start_speed", _F4, spread.start_speed),
         ("camera_up_spread", _F4, spread.camera_position),
         ("camera_pitch_spread", _F4, spread.camera_angle),
-        ("friction", _F4, sim.contact.friction),
-        ("restitution", _F4, sim.contact.restitution),
+        *_as_they_are(sim.contact, "friction", "restitution"),
         # The rules.
-        ("laps", _I8, rules.laps),
-        ("patience_steps", _I8, rules.patience_steps),
-        ("room", _BOOL, rules.room),  # cars owe each other room; else the rear one is to blame
+        *_as_they_are(rules, "laps", "patience_steps", "room", "light_contact", "full_contact"),
+        *_as_they_are(rules, "overtake_margin", "grid_gap", "put_back_behind", "bot_stop_s"),
         ("alongside", _F4, car.length / 4),  # overlap along the track from which cars are alongside
-        ("light_contact", _F4, rules.light_contact),  # closing speeds of contacts [m/s]
-        ("full_contact", _F4, rules.full_contact),
         # Steps for which a contact may have pushed a car off the road.
         ("push_steps", _I8, round(rules.forced_off_s * sim.step_hz) if rules.room else 0),
         ("still_squared", _F4, rules.still_distance**2),  # [m^2]
-        ("off_track_penalty_s", _F4, seconds(rules.off_track_penalty_s)),
-        ("crash_penalty_s", _F4, seconds(rules.crash_penalty_s)),
-        ("immobilised_penalty_s", _F4, seconds(rules.immobilised_penalty_s)),
-        ("reversed_penalty_s", _F4, seconds(rules.reversed_penalty_s)),
-        ("overtake_margin", _F4, rules.overtake_margin),  # [m]
-        ("grid_gap", _F4, rules.grid_gap),  # [m]
+        # At least one step: the car is put back by the end of its penalty.
+        *(
+            (f"{name}_penalty_s", _F4, max(getattr(rules, f"{name}_penalty_s"), sim.step_dt))
+            for name in penalties
+        ),
         ("grid_length", _F4, 0.0 if pursuit else rules.grid_gap * (sim.num_cars - 1)),  # [m]
         ("pursuers", _I8, sim.num_cars if pursuit else 0),  # cars spread evenly round the lap
-        ("put_back_behind", _F4, rules.put_back_behind),  # [m]
-        ("bot_stop_s", _F4, rules.bot_stop_s),
         # Obstacles.
+        *_as_they_are(things, "random_places", "lane_change", "min_distance"),
         ("bots", _BOOL, bots),  # bot cars instead of boxes
-        ("random_places", _BOOL, things.random_places),
         ("fixed_places", _BOOL, bool(things.places)),
-        ("lane_change", _BOOL, things.lane_change),
         ("bot_speed", _F4, things.speed),  # [m/s]
-        ("min_distance", _F4, things.min_distance),  # [m]
         ("thing_half_length", _F4, (car.length if bots else things.length) / 2),  # [m]
         ("thing_half_width", _F4, (car.width if bots else things.width) / 2),  # [m]
     )
+
+
+def _as_they_are(part: object, *names: str) -> list[tuple[str, type, float]]:
+    """Return some settings under their own names; sim/config.py has their units."""
+    values = [(name, getattr(part, name)) for name in names]
+    return [(name, _KINDS.get(type(value), _F4), value) for name, value in values]
 
 
 SETTINGS = np.dtype([(name, kind) for name, kind, _ in _fields(SimConfig())], align=True)

@@ -1,7 +1,5 @@
 """Checks of settings: each value of its field's type, each number in its range."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import field, fields
 from types import UnionType

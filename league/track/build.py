@@ -5,7 +5,7 @@ A sound course has no crossing, no overlap and no bend that no car can drive.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,17 +31,24 @@ _MAX_MISSES = 0.1  # share of the rows in which the normal may miss an explicit 
 
 def track(file: TrackFile, text: str, where: str) -> Track:
     """Build and check the course that a file with a YAML text describes; errors name `where`."""
+    try:
+        return sound(_course(file, text))
+    except TrackError as error:
+        raise TrackError(f"{where}: {error}") from None
+
+
+def _course(file: TrackFile, text: str) -> Track:
     points = np.array(file.points, dtype=np.float64)
-    _check_points(points, file.closed, where)
+    _check_points(points, file.closed)
     start = None if file.start is None else np.array(file.start, dtype=np.float64)
     center = spline.resample(points, closed=file.closed, spacing=SPACING, start=start)
-    _check_center(center, file, where)
+    _check_center(center, file)
     normal = spline.left_normal(center, closed=file.closed)
-    left, right = _reaches(center, normal, file, where)
+    left, right = _reaches(center, normal, file)
     left = spline.unfold(center, normal, left, closed=file.closed)
     right = spline.unfold(center, -normal, right, closed=file.closed)
-    colours = file.colours.model_dump(exclude_none=True)
-    course = Track(
+    colours: dict[str, Any] = {part: tuple(rgb) for part, rgb in file.colours.items() if rgb}
+    return Track(
         name=file.name,
         title=file.title,
         center=center,
@@ -50,49 +57,47 @@ def track(file: TrackFile, text: str, where: str) -> Track:
         closed=file.closed,
         line_inside=file.line == "inside",
         line_width=file.line_width,
-        colours=Colours(**{part: tuple(rgb) for part, rgb in colours.items()}),
+        colours=Colours(**colours),
         origin=file.origin,
         text=text,
         waypoints=None if file.waypoints is None else np.array(file.waypoints, dtype=np.float64),
     )
-    return sound(course, where)
 
 
-def _check_points(points: np.ndarray, closed: bool, where: str) -> None:
+def _check_points(points: np.ndarray, closed: bool) -> None:
     begin, end = spline.segments(points, closed=closed)
     chord = np.linalg.norm(end - begin, axis=1)
     if chord.min() < 1e-3:
         row = int(chord.argmin())
         also = (row + 1) % len(points)
         raise TrackError(
-            f"{where}: points[{row}] and points[{also}] are the same place; remove one of them"
+            f"points[{row}] and points[{also}] are the same place; remove one of them"
             + (" (a loop closes by itself)" if also == 0 else "")
         )
     if chord.sum() > MAX_LENGTH:
         raise TrackError(
-            f"{where}: the points are {chord.sum():,.0f} m long in all and a track has at most "
+            f"the points are {chord.sum():,.0f} m long in all and a track has at most "
             f"{MAX_LENGTH:g} m; coordinates are in metres"
         )
 
 
-def _check_center(center: np.ndarray, file: TrackFile, where: str) -> None:
+def _check_center(center: np.ndarray, file: TrackFile) -> None:
     steps = np.linalg.norm(np.diff(center, axis=0), axis=1)
     length = steps.sum() + (np.linalg.norm(center[0] - center[-1]) if file.closed else 0.0)
     if not MIN_LENGTH <= length <= MAX_LENGTH:
-        raise TrackError(
-            f"{where}: the track is {length:.2f} m long; make it {MIN_LENGTH:g} to {MAX_LENGTH:g} m"
-        )
+        limits = f"{MIN_LENGTH:g} to {MAX_LENGTH:g} m"
+        raise TrackError(f"the track is {length:.2f} m long; make it {limits}")
     extent = np.ptp(center, axis=0).max()
     if extent > MAX_EXTENT:
         raise TrackError(
-            f"{where}: the track is {extent:.1f} m across and a room has at most {MAX_EXTENT:g} m; "
+            f"the track is {extent:.1f} m across and a room has at most {MAX_EXTENT:g} m; "
             "coordinates are in metres"
         )
     if file.start is not None:
         off = float(np.linalg.norm(center[0] - np.array(file.start)))
         if off > file.width / 2:
             raise TrackError(
-                f"{where}: start [{file.start[0]:g}, {file.start[1]:g}] lies {off:.2f} m from the "
+                f"start [{file.start[0]:g}, {file.start[1]:g}] lies {off:.2f} m from the "
                 "centreline; give a point on it, or omit start to begin at the first point"
             )
     # A figure of eight has no direction; the check of crossings reports it.
@@ -100,13 +105,13 @@ def _check_center(center: np.ndarray, file: TrackFile, where: str) -> None:
         runs = spline.winding(center)
         if runs != file.direction:
             raise TrackError(
-                f"{where}: direction is {file.direction} but the points run {runs}; "
+                f"direction is {file.direction} but the points run {runs}; "
                 f"write `direction: {runs}` or reverse the order of the points"
             )
 
 
 def _reaches(
-    center: np.ndarray, normal: np.ndarray, file: TrackFile, where: str
+    center: np.ndarray, normal: np.ndarray, file: TrackFile
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return how far the borders lie to the left and right of each row [m]."""
     if file.left is None and file.right is None:
@@ -115,15 +120,15 @@ def _reaches(
     if file.left is None or file.right is None:
         one, other = ("right", "left") if file.left is None else ("left", "right")
         raise TrackError(
-            f"{where}: the {one} border is given and the {other} is not; give both, or neither "
+            f"the {one} border is given and the {other} is not; give both, or neither "
             "and let them follow from width"
         )
-    left = _reach(center, normal, np.array(file.left), "left", file, where)
-    right = _reach(center, -normal, np.array(file.right), "right", file, where)
+    left = _reach(center, normal, np.array(file.left), "left", file)
+    right = _reach(center, -normal, np.array(file.right), "right", file)
     usual = float(np.median(left + right))
     if abs(usual - file.width) > 0.1 * file.width:
         raise TrackError(
-            f"{where}: width is {file.width:g} but the borders lie {usual:.3f} m apart; "
+            f"width is {file.width:g} but the borders lie {usual:.3f} m apart; "
             f"write `width: {usual:.3f}`"
         )
     return left, right
@@ -135,12 +140,11 @@ def _reach(
     border: np.ndarray,
     side: str,
     file: TrackFile,
-    where: str,
 ) -> np.ndarray:
     crossing = first_crossing(border, closed=file.closed)
     if crossing is not None:
         raise TrackError(
-            f"{where}: {side}[{crossing[0]}] to {side}[{crossing[0] + 1}] of the {side} border "
+            f"{side}[{crossing[0]}] to {side}[{crossing[0] + 1}] of the {side} border "
             f"crosses {side}[{crossing[1]}] onward; put its points in driving order"
         )
     reach = spline.cast(center, normal, border, closed=file.closed, limit=2 * file.width)
@@ -148,7 +152,7 @@ def _reach(
     if missed.mean() > _MAX_MISSES:
         row = int(np.flatnonzero(missed)[0])
         raise TrackError(
-            f"{where}: there is no {side} border next to the centreline near "
+            f"there is no {side} border next to the centreline near "
             f"({center[row, 0]:.2f}, {center[row, 1]:.2f}) m; give it along the whole track, on "
             "the driver's own left and right"
         )
@@ -158,18 +162,18 @@ def _reach(
     return spline.interpolate(np.arange(count), met, reach[met % count])
 
 
-def sound(track: Track, where: str) -> Track:
+def sound(track: Track) -> Track:
     """Return the track; raise a TrackError with what is wrong with it and where."""
-    crossing = first_crossing(track.center, closed=track.closed)
-    if crossing is not None:
-        raise TrackError(
-            f"{where}: the centreline crosses itself near {_place(track.center, crossing[0])}; "
-            "put the points in driving order and keep the stretches apart"
-        )
+    _refuse_crossing(
+        "the centreline crosses itself",
+        "put the points in driving order and keep the stretches apart",
+        track.center,
+        closed=track.closed,
+    )
     if track.min_radius < MIN_RADIUS:
         row = int(np.abs(track.curvature).argmax())
         raise TrackError(
-            f"{where}: the bend near {_place(track.center, row)} has a radius of "
+            f"the bend near {_place(track.center, row)} has a radius of "
             f"{track.min_radius:.2f} m and a car needs {MIN_RADIUS} m; move the points there apart"
         )
     borders = (("left", track.left), ("right", track.right))
@@ -178,38 +182,36 @@ def sound(track: Track, where: str) -> Track:
         row = int(reach.argmin())
         if reach[row] < MIN_REACH:
             raise TrackError(
-                f"{where}: the {side} border is only {reach[row]:.2f} m from the centreline near "
+                f"the {side} border is only {reach[row]:.2f} m from the centreline near "
                 f"{_place(track.center, row)}; leave {MIN_REACH} m or more"
             )
+    mend = "move the stretches apart or make the road narrower"
     for side, border in borders:
-        crossing = first_crossing(border, closed=track.closed)
-        if crossing is not None:
-            raise TrackError(
-                f"{where}: the {side} border crosses itself near {_place(border, crossing[0])}; "
-                "move the stretches apart or make the road narrower"
-            )
-    crossing = first_crossing(track.left, track.right, closed=track.closed)
-    if crossing is not None:
-        raise TrackError(
-            f"{where}: the road overlaps itself near {_place(track.left, crossing[0])}; "
-            "move the stretches apart or make the road narrower"
-        )
+        _refuse_crossing(f"the {side} border crosses itself", mend, border, closed=track.closed)
+    lines = track.left, track.right
+    _refuse_crossing("the road overlaps itself", mend, *lines, closed=track.closed)
     if track.waypoints is not None:
-        _check_waypoints(track, track.waypoints, where)
+        _check_waypoints(track, track.waypoints)
     return track
 
 
-def _check_waypoints(track: Track, points: np.ndarray, where: str) -> None:
+def _refuse_crossing(fault: str, mend: str, *lines: np.ndarray, closed: bool) -> None:
+    crossing = first_crossing(*lines, closed=closed)
+    if crossing is not None:
+        raise TrackError(f"{fault} near {_place(lines[0], crossing[0])}; {mend}")
+
+
+def _check_waypoints(track: Track, points: np.ndarray) -> None:
     _, off = _projected(track, points)
     row = int(off.argmax())
     if off[row] > track.width / 2:
         raise TrackError(
-            f"{where}: waypoints[{row}] lies {off[row]:.2f} m from the centreline; give points on "
-            "it, or omit waypoints"
+            f"waypoints[{row}] lies {off[row]:.2f} m from the centreline; give points on it, or "
+            "omit waypoints"
         )
     if track.closed and not np.array_equal(points[0], points[-1]):
         raise TrackError(
-            f"{where}: the last of the waypoints is not the first once more; on a loop repeat it"
+            "the last of the waypoints is not the first once more; on a loop repeat it"
         )
     s = _in_order(track, points)
     limit = s[0] + track.length if track.closed else np.inf
@@ -217,7 +219,7 @@ def _check_waypoints(track: Track, points: np.ndarray, where: str) -> None:
     wrong[-1] |= bool(track.closed and s[-1] < limit - track.width / 2)
     if wrong.any():
         raise TrackError(
-            f"{where}: waypoints[{int(wrong.argmax())}] is out of order; give them in driving "
+            f"waypoints[{int(wrong.argmax())}] is out of order; give them in driving "
             "order, once along the track"
         )
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import stat
-from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -33,30 +32,14 @@ Coordinate = Annotated[Number, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 Point = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
 Channel = Annotated[int, Field(strict=True, ge=0, le=255)]
 Rgb = Annotated[list[Channel], Field(min_length=3, max_length=3)]
+Part = Literal["road", "field", "line", "dash", "wall"]
 Polyline = Annotated[list[Point], Field(min_length=2, max_length=MAX_POINTS)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class ColoursFile(_Strict):
-    """Colours of the floor, sRGB 0-255; omitted ones keep their default."""
-
-    road: Rgb | None = None
-    """The road."""
-    field: Rgb | None = None
-    """The ground next to it."""
-    line: Rgb | None = None
-    """The border lines."""
-    dash: Rgb | None = None
-    """The dashes along the centreline."""
-    wall: Rgb | None = None
-    """The wall round the room."""
-
-
-class TrackFile(_Strict):
+class TrackFile(BaseModel):
     """The content of a track file; lengths in metres, x to the east, y to the north."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_]{0,63}$")]
     """Short name: letters, digits, underscore."""
@@ -72,8 +55,8 @@ class TrackFile(_Strict):
     """Width of the white lines [m]."""
     start: Point | None = None
     """Where the start line crosses the centreline; the first of the points if omitted."""
-    colours: ColoursFile = Field(default_factory=ColoursFile)
-    """Colours of the floor."""
+    colours: dict[Part, Rgb | None] = {}
+    """Colours of the floor, sRGB 0-255; omitted ones keep their default."""
     origin: Annotated[str, Field(max_length=2000)] = ""
     """Where the shape comes from."""
     points: Annotated[list[Point], Field(min_length=3, max_length=MAX_POINTS)]
@@ -140,8 +123,10 @@ def dump(track: Track) -> str:
     left = np.linalg.norm(track.left - track.center, axis=1)
     right = np.linalg.norm(track.right - track.center, axis=1)
     even = np.ptp(np.concatenate([left, right])) < 2e-3
-    default = asdict(Colours())
-    colours = {k: list(v) for k, v in asdict(track.colours).items() if tuple(v) != default[k]}
+    usual = vars(Colours())
+    colours: dict[Any, Any] = {
+        part: list(rgb) for part, rgb in vars(track.colours).items() if tuple(rgb) != usual[part]
+    }
     return write(
         TrackFile(
             name=track.name,
@@ -150,7 +135,7 @@ def dump(track: Track) -> str:
             width=round(track.width, 4),
             line="inside" if track.line_inside else "outside",
             line_width=track.line_width,
-            colours=ColoursFile(**colours),
+            colours=colours,
             origin=track.origin,
             points=rounded(track.center, 4),
             left=None if even else rounded(track.left, 4),
@@ -189,8 +174,7 @@ def report(track: Track) -> dict[str, str | float | int]:
 
 def _read_text(path: str) -> str:
     try:
-        content = _read_bytes(path)
-        return content.decode("utf-8")
+        return _read_bytes(path).decode("utf-8")
     except UnicodeDecodeError as error:
         raise TrackError(
             f"{path} is not text: byte {error.start} is not UTF-8; a track file is YAML "
@@ -288,14 +272,16 @@ def _reason(error: ValidationError, root: yaml.Node | None, where: str) -> str:
     place = first["loc"]
     given = _short(repr(first["input"]))
     at_line = "" if root is None else f", line {_line_of(root, place)}"
-    here = f"{where}{at_line}: `{_short(_path(place))}`"
+    here = f"{where}{at_line}: `{_short(_path(place).removesuffix('.[key]'))}`"
     match first["type"]:
         case "missing":
             example = f"{place[-1]}: {_EXAMPLES.get(str(place[-1]), '...')}"
             return f"{where} lacks the field `{place[-1]}`; add a line such as `{example}`"
         case "extra_forbidden":
-            model = TrackFile if len(place) == 1 else ColoursFile
-            return f"{here} is no field here; the fields are {', '.join(model.model_fields)}"
+            return f"{here} is no field here; the fields are {', '.join(TrackFile.model_fields)}"
+        case "literal_error" if place[-1] == "[key]":
+            parts = ", ".join(vars(Colours()))
+            return f"{here} is no field here; the fields are {parts}"
         case "too_short" | "too_long" if len(place) == 1 and place[0] in _LENGTHS:
             return f"{here} is {given}: give {_LENGTHS[place[0]]} points [x, y]"
         case _:
@@ -371,10 +357,9 @@ def write(file: TrackFile) -> str:
     lines += [f"width: {file.width!r}", f"line: {file.line}", f"line_width: {file.line_width!r}"]
     if file.start is not None:
         lines.append(f"start: {_pair(file.start)}")
-    colours = file.colours.model_dump(exclude_none=True)
-    if colours:
+    if file.colours:
         lines.append("colours:")
-        lines += [f"  {part}: {list(rgb)}" for part, rgb in colours.items()]
+        lines += [f"  {part}: {rgb}" for part, rgb in file.colours.items() if rgb]
     if file.origin:
         lines.append(f"origin: {_quoted(file.origin)}")
     for field in ("points", "left", "right", "waypoints"):

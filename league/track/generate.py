@@ -63,7 +63,7 @@ def generate(
         way = direction or ("counter-clockwise", "clockwise")[int(generator.integers(2))]
         shape = _SHAPES[int(generator.choice(len(_SHAPES), p=_SHARES))]
         path = shape(generator, asked_length, asked_width, min_radius)
-        path = None if path is None else _finish(path, asked_length, way, generator)
+        path = None if path is None else _finished(path, asked_length, way, generator)
         # A short loop may have no room for more than four corners.
         may_be_plain = generator.random() < _PLAIN_SHARE or attempt > 60
         if path is None or not _fits(path, asked_width, min_radius):
@@ -109,9 +109,9 @@ def _build(
         return None
 
 
-def _finish(
+def _finished(
     path: np.ndarray, length: float, way: str, generator: np.random.Generator
-) -> np.ndarray | None:
+) -> np.ndarray:
     """Bring a counter-clockwise outline to its length, turn it, start it on its best straight."""
     angle = generator.uniform(0, 2 * np.pi)
     cos, sin = np.cos(angle), np.sin(angle)
@@ -292,7 +292,7 @@ def _length(path: np.ndarray) -> float:
 def _even(path: np.ndarray) -> np.ndarray:
     """Resample a closed polyline at even steps."""
     ring = np.concatenate([path, path[:1]])
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(ring, axis=0), axis=1))])
+    s = spline.travelled(ring)
     wanted = np.linspace(0, s[-1], max(16, round(s[-1] / _STEP)), endpoint=False)
     return np.stack([np.interp(wanted, s, ring[:, 0]), np.interp(wanted, s, ring[:, 1])], axis=1)
 

@@ -62,8 +62,8 @@ def from_rows(rows: np.ndarray, name: str, where: str) -> Track:
     # Files repeat row 0 at the end; a loop that does not still ends one step before its start.
     closed = gap < 1.5 * float(np.median(steps))
     repeats = closed and gap < 0.3 * float(np.median(steps))
-    if repeats:
-        center = center[:-1] if len(center) > 4 else center
+    if repeats and len(center) > 4:
+        center = center[:-1]
     extent = np.ptp(center, axis=0).max()
     if extent > build.MAX_EXTENT or steps.sum() > build.MAX_LENGTH:
         raise TrackError(
@@ -78,7 +78,10 @@ def from_rows(rows: np.ndarray, name: str, where: str) -> Track:
             "driving order, once round"
         )
     borders = [_border(rows[:, column : column + 2], closed, where) for column in (2, 4)]
-    left, right = borders if _inner_is_left(rows) else borders[::-1]
+    # The inner border lies on the driver's left if it does in the majority of the rows.
+    along, to_inner = np.gradient(rows[:, :2], axis=0), rows[:, 2:4] - rows[:, 4:6]
+    turn = along[:, 0] * to_inner[:, 1] - along[:, 1] * to_inner[:, 0]
+    left, right = borders if np.median(turn) > 0 else borders[::-1]
     # The original's waypoints are the centres, on a loop ending with row 0's. None is dropped, not
     # even one that repeats the row before it: a reward function may name any by its number.
     waypoints = rows[:-1, :2] if repeats else rows[:, :2]
@@ -91,7 +94,8 @@ def from_rows(rows: np.ndarray, name: str, where: str) -> Track:
             "title": name.replace("_", " "),
             "direction": spline.winding(points) if closed else "open",
             "width": width,
-            "line": "outside" if _line_is_outside(width) else "inside",
+            # Older hand-made tracks measure inside: 24 and 26 inches, and the 0.906 m of 2020.
+            "line": "outside" if width < 0.70 or 0.895 < width < 0.912 else "inside",
             "origin": "Imported from a community track array; which side of the border the white "
             "line lies on was guessed from the width.",
             "points": files.rounded(points, 3),
@@ -169,13 +173,6 @@ def _distinct(line: np.ndarray) -> np.ndarray:
     return line[np.concatenate([[True], steps > 2e-3])]
 
 
-def _inner_is_left(rows: np.ndarray) -> bool:
-    """Return whether the inner border lies on the driver's left in the majority of the rows."""
-    along = np.gradient(rows[:, :2], axis=0)
-    to_inner = rows[:, 2:4] - rows[:, 4:6]
-    return bool(np.median(along[:, 0] * to_inner[:, 1] - along[:, 1] * to_inner[:, 0]) > 0)
-
-
 def _border(line: np.ndarray, closed: bool, where: str) -> np.ndarray:
     """Clean one border: no repeated rows, no small loops in tight bends, no needless points."""
     line = _distinct(line)
@@ -183,8 +180,7 @@ def _border(line: np.ndarray, closed: bool, where: str) -> np.ndarray:
         line = line[:-1]
     if len(line) < 3:
         raise TrackError(f"{where} has a border of {len(line)} different points; give 3 or more")
-    line = _without_loops(line, closed)
-    return _thinned_line(line)
+    return _thinned_line(_without_loops(line, closed))
 
 
 def _without_loops(line: np.ndarray, closed: bool) -> np.ndarray:
@@ -226,7 +222,7 @@ def _thinned_line(line: np.ndarray) -> np.ndarray:
 
 def _thinned_curve(center: np.ndarray, closed: bool) -> np.ndarray:
     """Choose as few rows as let the smooth curve pass within 8 mm of all of them."""
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(center, axis=0), axis=1))])
+    s = spline.travelled(center)
     count = max(4, round(s[-1] / _FIRST_KNOTS))
     wanted = np.linspace(0, s[-1], count, endpoint=not closed)
     keep = np.zeros(len(center), dtype=bool)
@@ -274,11 +270,3 @@ def _usual_width(
             "inner border, outer border, x and y each"
         )
     return round(float(np.nanmedian(both)), 3)
-
-
-def _line_is_outside(width: float) -> bool:
-    """Guess the convention from the width: older hand-made tracks measure inside.
-
-    24 and 26 inches, and the 0.906 m of 2020, are the hand-made families.
-    """
-    return width < 0.70 or 0.895 < width < 0.912

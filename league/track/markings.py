@@ -271,8 +271,15 @@ def poster(track: Track) -> np.ndarray:
     sheet[_HEAD : _HEAD + height, left : left + width] = plan.picture
     _write(sheet, track.title, (_FRAME, 62), 46, _INK, bold=True)
     _write(sheet, about, (_FRAME, 106), 26, _SOFT_INK)
-    _scale_bar(sheet, (left + edge + 24, sheet.shape[0] - _FRAME - edge - 24), pixel)
-    _north(sheet, (sheet.shape[1] - _FRAME - 26, 84))
+    metres = next((m for m in (1, 2, 5, 10, 20) if m / pixel > 120), 20)
+    x, y = left + edge + 24, sheet.shape[0] - _FRAME - edge - 24
+    for thickness, rgb in ((8, _INK), (4, _PAPER)):
+        cv2.line(sheet, (x, y), (x + round(metres / pixel), y), rgb, thickness, cv2.LINE_AA)
+    _write(sheet, f"{metres} m", (x, y - 16), 24, _PAPER)
+    x, y = sheet.shape[1] - _FRAME - 26, 84
+    needle = np.array([[x, y - 40], [x + 13, y], [x, y - 9], [x - 13, y]], np.int32)
+    cv2.fillPoly(sheet, [needle], _SOFT_INK, lineType=cv2.LINE_AA)
+    _write(sheet, "N", (x - 8, y + 26), 24, _SOFT_INK)
     return sheet
 
 
@@ -292,22 +299,6 @@ def _chevrons(plan: Plan, track: Track) -> None:
         outline = np.array([(-1, 1.2), (0, 1.2), (1, 0), (0, -1.2), (-1, -1.2), (0, 0)])
         plan.fill(placed(size * outline, *track.center[row], *track.tangent[row]), (255, 255, 255))
     cv2.addWeighted(plan.picture, 0.85, plain, 0.15, 0.0, dst=plan.picture)
-
-
-def _scale_bar(sheet: np.ndarray, corner: tuple[int, int], pixel: float) -> None:
-    metres = next((m for m in (1, 2, 5, 10, 20) if m / pixel > 120), 20)
-    x, y = corner
-    end = x + round(metres / pixel)
-    for thickness, rgb in ((8, _INK), (4, _PAPER)):
-        cv2.line(sheet, (x, y), (end, y), rgb, thickness, cv2.LINE_AA)
-    _write(sheet, f"{metres} m", (x, y - 16), 24, _PAPER)
-
-
-def _north(sheet: np.ndarray, middle: tuple[int, int]) -> None:
-    x, y = middle
-    needle = np.array([[x, y - 40], [x + 13, y], [x, y - 9], [x - 13, y]])
-    cv2.fillPoly(sheet, [needle.astype(np.int32)], _SOFT_INK, lineType=cv2.LINE_AA)
-    _write(sheet, "N", (x - 8, y + 26), 24, _SOFT_INK)
 
 
 def _write(

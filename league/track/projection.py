@@ -3,10 +3,6 @@
 A track is a COURSE record and its row of POINT records; league/track/track.py builds them.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-# pyright: reportAttributeAccessIssue=false
-
 import math
 from typing import NamedTuple
 

@@ -61,8 +61,7 @@ def through(points: np.ndarray, *, closed: bool) -> Spline:
         inner[:] = (change - others) / (2 * (before + after))
     if closed:
         bends[-1] = bends[0]
-    chords = gap[1:, 0] if closed else gap[:, 0]
-    return Spline(np.concatenate([[0.0], np.cumsum(chords)]), ring, bends)
+    return Spline(travelled(ring), ring, bends)
 
 
 def interpolate(wanted: np.ndarray, place: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -106,8 +105,13 @@ def _arc_length(curve: Spline) -> tuple[np.ndarray, np.ndarray]:
         for low, high, count in zip(curve.place[:-1], curve.place[1:], counts, strict=True)
     ]
     place = np.concatenate([*pieces, curve.place[-1:]])
-    steps = np.linalg.norm(np.diff(curve(place), axis=0), axis=1)
-    return place, np.concatenate([[0.0], np.cumsum(steps)])
+    return place, travelled(curve(place))
+
+
+def travelled(points: np.ndarray) -> np.ndarray:
+    """Return the distance along a polyline at each of its points [m], (N,)."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def segments(line: np.ndarray, *, closed: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ about 5 cm, so a point's neighbours are found by dividing s.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -140,29 +141,28 @@ class Track:
     def reversed(self) -> Track:
         """Return the same course driven the other way, from the same start line."""
         order = np.roll(np.arange(len(self.center))[::-1], 1 if self.closed else 0)
-        return replace(
-            self,
-            name=f"{self.name}_reversed",
-            title=f"{self.title}, reversed",
-            center=self.center[order],
-            left=self.right[order],
-            right=self.left[order],
-            text="",
-            waypoints=None if self.waypoints is None else self.waypoints[::-1],
-        )
+        waypoints = None if self.waypoints is None else self.waypoints[::-1]
+        return self._turned("reversed", lambda line: line[order], waypoints)
 
     def mirrored(self) -> Track:
         """Return the course as a mirror along x shows it: left bends turn right."""
         flip = np.array([1.0, -1.0])
+        waypoints = None if self.waypoints is None else self.waypoints * flip
+        return self._turned("mirrored", lambda line: line * flip, waypoints)
+
+    def _turned(
+        self, how: str, turn: Callable[[np.ndarray], np.ndarray], waypoints: np.ndarray | None
+    ) -> Track:
+        """Return the course with all of its lines turned, so that left is right."""
         return replace(
             self,
-            name=f"{self.name}_mirrored",
-            title=f"{self.title}, mirrored",
-            center=self.center * flip,
-            left=self.right * flip,
-            right=self.left * flip,
+            name=f"{self.name}_{how}",
+            title=f"{self.title}, {how}",
+            center=turn(self.center),
+            left=turn(self.right),
+            right=turn(self.left),
             text="",
-            waypoints=None if self.waypoints is None else self.waypoints * flip,
+            waypoints=waypoints,
         )
 
 

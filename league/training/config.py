@@ -24,11 +24,9 @@ from league.errors import ConfigError, PolicyError
 from league.racing.evaluate import MAX_TRIALS
 from league.sim.config import CameraConfig, RaceKind, RulesName, SensorConfig
 
-_RACING_ROWS = 1536
-"""Cars in all worlds, where all learn to race on the true state."""
+_RACING_ROWS = 1536  # cars in all worlds, where all learn to race on the true state
 _T = TypeVar("_T")
-Hidden = Annotated[_T, tyro.conf.Fixed, tyro.conf.Suppress]
-"""A setting without a flag."""
+Hidden = Annotated[_T, tyro.conf.Fixed, tyro.conf.Suppress]  # a setting without a flag
 FREE = {"resume": "free"}
 """Metadata of settings that a resume may change; without metadata a setting is kept."""
 GROWS = {"resume": "grows"}
@@ -193,13 +191,9 @@ class TrainConfig:
             symmetry=False,
             teacher=0.0,
             save_every=24,
-            ppo=PpoConfig(
-                rollout=32,
+            ppo=replace(
+                PpoConfig(rollout=32, mini_batches=12).racing(),
                 epochs=2,
-                mini_batches=12,
-                gamma=0.987,
-                lam=0.95,
-                bootstrap_on_failure=True,
                 learning_rate=(3e-3, 3e-4),
                 noise=(0.4, 0.1),
             ),
@@ -266,11 +260,7 @@ class RunConfig:
         _check("stop_when_complete", self.stop_when_complete, 0, math.inf, advice)
 
     def check(self) -> None:
-        """Check what depends on several settings.
-
-        Raises:
-            ConfigError: the run has no end, or its mini-batches no decisions.
-        """
+        """Check what depends on several settings; ConfigError says which of them do not fit."""
         valid = 0 <= self.minutes < math.inf and self.steps >= 0
         if not valid or not (self.minutes or self.steps):
             raise ConfigError(
@@ -291,10 +281,9 @@ class RunConfig:
 
 
 def check_resumed(cfg: RunConfig, stored: RunConfig, folder: Path) -> None:
-    """Check that a run, started with the settings `stored`, may go on with others.
+    """Check that a run that was started with the settings `stored` may go on with these.
 
-    Raises:
-        ConfigError: a setting differs that may not, or the budget is smaller.
+    ConfigError says which setting differs that may not, or that the budget is smaller.
     """
     changed = list(_differences(cfg, stored))
     kept = [flag for flag, rule, *_ in changed if rule == "kept"]
@@ -344,18 +333,11 @@ _OLD_NAMES = {
     "ppo": {"steps": "rollout", "forgiving": "bootstrap_on_failure"},
 }
 """Names of settings in the files of older versions, and what they are called now."""
-_REMOVED = ("scripted_share", "handicap")
-"""Settings of a run that older versions had."""
-GRIP_SPREAD = 0.15
-"""Largest deviation of grip where `dynamics_randomization` is 1."""
+GRIP_SPREAD = 0.15  # largest deviation of grip where `dynamics_randomization` is 1
 
 
 def read(folder: Path) -> RunConfig:
-    """Return the settings of the run in a folder.
-
-    Raises:
-        PolicyError: there is no run.
-    """
+    """Return the settings of the run in a folder; PolicyError if there is no run."""
     path = folder / "settings.json"
     try:
         cfg = _SETTINGS.validate_python(_renamed(json.loads(path.read_bytes())))
@@ -369,36 +351,28 @@ def read(folder: Path) -> RunConfig:
 
 
 def write(cfg: RunConfig, folder: Path) -> None:
-    """Write a run's settings into its folder.
-
-    Raises:
-        PolicyError: they cannot be written.
-    """
+    """Write a run's settings into its folder; PolicyError if they cannot be written."""
     with replacing(folder / "settings.json", "the settings", PolicyError) as file:
         file.write_bytes(_SETTINGS.dump_json(cfg, indent=2))
 
 
 def _renamed(run: dict[str, Any]) -> dict[str, Any]:
-    """Return settings of any version under today's names."""
-
-    def named(part: str, row: dict[str, Any]) -> dict[str, Any]:
-        return {_OLD_NAMES[part].get(name, name): value for name, value in row.items()}
-
-    run = named("run", run)
-    for name in _REMOVED:
-        run.pop(name, None)
-    if "train" in run:
-        train = run["train"] = named("train", run["train"])
-        if "ppo" in train:
-            train["ppo"] = named("ppo", train["ppo"])
-        # These two used to hold how far each thing is drawn, or null.
-        looks, spread = train.get("visual_randomization"), train.get("dynamics_randomization")
-        train["visual_randomization"] = bool(looks)
-        if "rules" not in train:  # the original's were the only ones
-            train["rules"] = "deepracer"
-            if train.get("kind") != "obstacle_avoidance":
-                train["obstacles"] = None  # it was not read
-        train["dynamics_randomization"] = (
-            spread["grip"] / GRIP_SPREAD if isinstance(spread, dict) else spread or 0.0
-        )
+    """Return settings of any version under today's names; older versions had some more."""
+    run = _named("run", run)
+    train = run["train"] = _named("train", run["train"])
+    train["ppo"] = _named("ppo", train["ppo"])
+    # These two used to hold how far each thing is drawn, or null.
+    looks, spread = train.get("visual_randomization"), train.get("dynamics_randomization")
+    train["visual_randomization"] = bool(looks)
+    if isinstance(spread, dict):
+        spread = spread["grip"] / GRIP_SPREAD
+    train["dynamics_randomization"] = spread or 0.0
+    if "rules" not in train:  # the original's were the only ones
+        train["rules"] = "deepracer"
+        if train["kind"] != "obstacle_avoidance":
+            train["obstacles"] = None  # it was not read
     return run
+
+
+def _named(part: str, row: dict[str, Any]) -> dict[str, Any]:
+    return {_OLD_NAMES[part].get(name, name): value for name, value in row.items()}

@@ -1,12 +1,10 @@
 """Evaluations during training: policies drive in Bullet from the start line, in another process."""
 
-from __future__ import annotations
-
 import math
 import os
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from statistics import fmean
 from typing import NamedTuple
 
@@ -16,45 +14,32 @@ from league.agents.checkpoint import Checkpoint
 from league.agents.policy import Policy
 from league.errors import PolicyError
 from league.racing.evaluate import evaluate
-from league.racing.table import Evaluation
+from league.racing.table import Evaluation, Trial
 from league.sim.config import ObstacleConfig, RaceKind, SimConfig
 from league.track.track import Track, TrackSet
 
-CLEAN_RUNS = 20
-"""Runs from the start line of which a card says how many were clean."""
-TIMEOUT_S = 600.0
-"""Longest wait for one evaluation [s]."""
+CLEAN_RUNS = 20  # runs from the start line of which a card says how many were clean
+TIMEOUT_S = 600.0  # longest wait for one evaluation [s]
 
 
 @dataclass(frozen=True)
 class EvalConfig:
     """What every policy of a run is evaluated on."""
 
-    tracks: tuple[Track, ...]
-    """Where it drives, one after the other."""
-    laps: int = 3
-    """Laps of each run."""
-    trials: int = 1
-    """Runs on each track."""
-    kind: RaceKind = "time_trial"
-    """Kind of race."""
-    obstacles: int | None = None
-    """Boxes or bots; None: six in obstacle avoidance, else none."""
-    bots: bool = False
-    """Bot cars instead of boxes."""
-    opponents: tuple[str, ...] = ()
-    """Drivers that race against it, behind it on the grid."""
-    seed: int = 1_000
-    """Seed of the first run; training draws others."""
+    tracks: tuple[Track, ...]  # where it drives, one after the other
+    laps: int = 3  # laps of each run
+    trials: int = 1  # runs on each track
+    kind: RaceKind = "time_trial"  # kind of race
+    obstacles: ObstacleConfig = field(default_factory=ObstacleConfig)  # boxes or bots
+    opponents: tuple[str, ...] = ()  # drivers that race against it, behind it on the grid
+    seed: int = 1_000  # seed of the first run; training draws others
 
 
 class EvalResult(NamedTuple):
     """The evaluation of one policy."""
 
-    number: int
-    """Updates before it."""
-    evaluation: Evaluation
-    """All trials, on all tracks."""
+    number: int  # updates before it
+    evaluation: Evaluation  # all trials, on all tracks
 
 
 def evaluate_policy(cfg: EvalConfig, checkpoint: Checkpoint) -> Evaluation:
@@ -69,7 +54,7 @@ def evaluate_policy(cfg: EvalConfig, checkpoint: Checkpoint) -> Evaluation:
             kind="head_to_head" if cfg.opponents else cfg.kind,
             mode="episode",
             seed=cfg.seed,
-            obstacles=ObstacleConfig(count=cfg.obstacles, kind="bot" if cfg.bots else "box"),
+            obstacles=cfg.obstacles,
             opponents=[roster.load(name, TrackSet(track), car) for name in cfg.opponents],
         )
         for track in cfg.tracks
@@ -77,19 +62,16 @@ def evaluate_policy(cfg: EvalConfig, checkpoint: Checkpoint) -> Evaluation:
     first = evaluations[0]
     if len(evaluations) == 1:
         return first
-    trials = [
-        (number * cfg.trials + trial.run, trial)
-        for number, evaluation in enumerate(evaluations)
-        for trial in evaluation.trials
-    ]
+    trials: list[Trial] = []
+    for number, evaluation in enumerate(evaluations):
+        for trial in evaluation.trials:
+            run = number * cfg.trials + trial.run
+            trials.append(trial.model_copy(update={"trial": len(trials) + 1, "run": run}))
     return first.model_copy(
         update={
             "track": f"{len(evaluations)} tracks",
             "asked": sum(evaluation.asked for evaluation in evaluations),
-            "trials": tuple(
-                trial.model_copy(update={"trial": number, "run": run})
-                for number, (run, trial) in enumerate(trials, 1)
-            ),
+            "trials": tuple(trials),
             "places": tuple(place for evaluation in evaluations for place in evaluation.places),
         }
     )
@@ -103,10 +85,7 @@ def clean_share(cfg: EvalConfig, checkpoint: Checkpoint) -> float:
 
 
 def merit_of(evaluation: Evaluation) -> tuple[float, ...]:
-    """Return what the best policy has most of: laps, then how far it came, then pace.
-
-    Against others, places count before all that.
-    """
+    """Return what the best has most of: laps, distance, pace; against others, places first."""
     mean = evaluation.mean_lap_s
     laps = evaluation.complete_laps / evaluation.asked
     driven = (laps, round(evaluation.completion, 3), -mean if mean is not None else -1e9)
@@ -127,10 +106,7 @@ class Evaluator:
     """A process that evaluates policies in the order of submission, while learning goes on."""
 
     def __init__(self, cfg: EvalConfig, *, background: bool = True) -> None:
-        """Prepare; the process starts with the first policy.
-
-        Without `background` policies are evaluated at once, in this process.
-        """
+        """Prepare; the process starts with the first policy. Without `background` there is none."""
         self._cfg, self._background = cfg, background
         self._results: list[EvalResult] = []
         self._jobs: list[Future[EvalResult]] = []
@@ -144,11 +120,7 @@ class Evaluator:
         return len(self._jobs)
 
     def submit(self, number: int, checkpoint: Checkpoint) -> None:
-        """Evaluate a policy as it was after an update.
-
-        Raises:
-            ConfigError: no process can be started.
-        """
+        """Evaluate a policy as it was after an update; ConfigError if no process can be started."""
         if not self._background:
             self._results.append(_evaluated(self._cfg, number, checkpoint))
             return
@@ -158,11 +130,7 @@ class Evaluator:
             self._jobs.append(self._pool.submit(_evaluated, self._cfg, number, checkpoint))
 
     def take(self, *, wait: bool = False) -> list[EvalResult]:
-        """Return and forget the results so far; with `wait` at least one, if any is pending.
-
-        Raises:
-            PolicyError: the process has died.
-        """
+        """Return and forget the results, with `wait` one at least; PolicyError if it has died."""
         results, self._results = self._results, []
         while self._jobs and (self._jobs[0].done() or (wait and not results)):
             try:

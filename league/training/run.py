@@ -1,12 +1,9 @@
 """A training run: learn, evaluate, save, report; from settings to best.pt, also after a kill."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
@@ -16,34 +13,31 @@ from league.agents.checkpoint import Card, Checkpoint, RewardCard
 from league.agents.policy import Policy
 from league.atomic_file import replacing
 from league.envs import rewards
-from league.envs.driver import Driver
 from league.envs.rewards import Reward
-from league.errors import ConfigError, LeagueError, PolicyError, brief
+from league.errors import (
+    ConfigError,
+    LeagueError,
+    PolicyError,
+    brief,
+    explaining,
+    first_problem,
+)
 from league.racing import duels, trace
 from league.racing.duels import DuelConfig, Threshold
+from league.racing.table import Evaluation
 from league.racing.trace import TrainingTrace
-from league.sim.config import SimConfig
-from league.training import config, run_folder
+from league.sim.config import ObstacleConfig, SimConfig
+from league.training import config, evaluator, run_folder
 from league.training.config import RunConfig
-from league.training.evaluator import (
-    CLEAN_RUNS,
-    EvalConfig,
-    Evaluator,
-    clean_share,
-    evaluate_policy,
-    merit_of,
-)
+from league.training.evaluator import EvalConfig, Evaluator
 from league.training.monitor.history import TrainingCallback, TrainingHistory
 from league.training.ppo import distributed, make_env
 from league.training.ppo.learner import Update, check_device, make_learner, memory_explained
 from league.training.ppo.self_play import RacingLearner, make_racing
 from league.training.ppo.teacher import make_taught
 
-if TYPE_CHECKING:
-    from league.racing.table import Evaluation
-
-_DUELS = 60
-"""Races at each pace, for the card of a policy of self-play."""
+_DUELS = 60  # races at each pace, for the card of a policy of self-play
+_CARD_OF_TRAINING = ("sensors", "action_space", "network", "kind", "seed")
 CRITIC_FIRST = 4
 """Updates from which only the critic learns, where the actor starts as another policy."""
 
@@ -52,18 +46,13 @@ CRITIC_FIRST = 4
 class Outcome:
     """The result of a run."""
 
-    best: Path
-    """The best policy."""
-    evaluation: Evaluation | None
-    """Its evaluation."""
-    samples: int
-    """Decisions learnt from."""
-    time_s: float
-    """Learning time, of earlier parts too [s]."""
-    why: str
-    """Why it stopped."""
+    best: Path  # the best policy
+    evaluation: Evaluation | None  # its evaluation
+    samples: int  # decisions learnt from
+    time_s: float  # learning time, of earlier parts too [s]
+    why: str  # why it stopped
+    # of self-play: how fast a rival the policy passes, and keeps behind
     duels: Threshold | None = None
-    """Of self-play: how fast a rival the policy passes, and keeps behind."""
 
 
 class Run:
@@ -73,12 +62,10 @@ class Run:
     """
 
     def __init__(self, cfg: RunConfig, folder: Path, *, background: bool = True) -> None:
-        """Build worlds, learner and evaluator; nothing is written before the first update.
+        """Build worlds, learner and evaluator; LeagueError if settings are unknown or contradict.
 
-        The folder is this run's alone; without `background` evaluations come between updates.
-
-        Raises:
-            LeagueError: unknown tracks, rewards or drivers, or settings that contradict.
+        Nothing is written before the first update. The folder is this run's alone; without
+        `background` evaluations come between updates.
         """
         cfg.check()
         self.cfg, self.folder = cfg, folder
@@ -110,19 +97,17 @@ class Run:
         self._parent = checkpoint.load(cfg.init_from) if cfg.init_from else None
         if self._parent is not None:
             self._parents = (self._parent.digest, *self._parent.card.parents)[:64]
-        opponents: Mapping[int, Driver | str] = dict(enumerate(cfg.opponents, 1))
         # After what is refused at once, and before what takes seconds: it loads meanwhile.
-        self._evaluator = Evaluator(
-            self._eval_cfg, background=background and distributed.is_first()
-        )
+        leads = distributed.is_first()
+        self._evaluator = Evaluator(self._eval_cfg, background=background and leads)
         if self._reward is None:
             car = make_env.env_config(train).sim.car
             self._reward = rewards.built_in(cfg.reward, tracks, car)
+        self._traces = folder / run_folder.SIMTRACE
         self._simtrace: TrainingTrace | None = None
-        if cfg.simtrace and distributed.is_first():
+        if cfg.simtrace and leads:
             sim = make_env.env_config(train).sim
-            traces = folder / run_folder.SIMTRACE
-            self._simtrace = TrainingTrace(self._reward, traces, train.action_space, sim)
+            self._simtrace = TrainingTrace(self._reward, self._traces, train.action_space, sim)
         reward = self._simtrace or self._reward
         with memory_explained():
             if cfg.self_play:
@@ -131,9 +116,11 @@ class Run:
                 self.learner = make_racing(tracks, train, reward=own)
             else:
                 make = make_taught if train.teacher else make_learner
-                self.learner = make(tracks, train, opponents=opponents, reward=reward)
+                self.learner = make(
+                    tracks, train, opponents=dict(enumerate(cfg.opponents, 1)), reward=reward
+                )
         if self._parent is not None:
-            self.learner.load_weights(dict(self._parent.weights))
+            self.learner.load_weights(self._parent.weights)
         self._submitted: dict[int, Checkpoint] = {}
         self._best: tuple[float, ...] | None = None
         self._best_evaluation: Evaluation | None = None
@@ -142,11 +129,7 @@ class Run:
         self._lock: int | None = None
 
     def resume(self) -> None:
-        """Go on from the folder's state; the schedules follow the whole of a larger budget.
-
-        Raises:
-            PolicyError: there is none, or it is of another run.
-        """
+        """Go on from the folder's state; PolicyError if there is none, or it is of another run."""
         if not (self.folder / "state.pt").exists():
             raise PolicyError(
                 f"{self.folder / 'state.pt'} cannot be resumed: the run stopped before its "
@@ -220,14 +203,8 @@ class Run:
             self.close()
             for callback in callbacks:
                 callback.close()
-        return Outcome(
-            best=self.folder / "best.pt",
-            evaluation=self._best_evaluation,
-            samples=self.learner.samples,
-            time_s=self.spent_s,
-            why=why,
-            duels=self._duels,
-        )
+        best, samples = self.folder / "best.pt", self.learner.samples
+        return Outcome(best, self._best_evaluation, samples, self.spent_s, why, self._duels)
 
     def _after(self, update: Update, callbacks: Sequence[TrainingCallback]) -> None:
         """Report an update; at a save point evaluate and save, too."""
@@ -244,7 +221,7 @@ class Run:
         update = self.learner.update(self._progress())
         if self._parent is not None and self._is_parent(update.number):
             # An untrained critic would spoil what the parent has learnt.
-            self.learner.load_weights(dict(self._parent.weights))
+            self.learner.load_weights(self._parent.weights)
         return update
 
     def _is_parent(self, number: int) -> bool:
@@ -253,13 +230,9 @@ class Run:
 
     def _prepare(self) -> None:
         """Write the settings, and start the history."""
-        try:
+        failure = f"the folder {self.folder} cannot be made"
+        with explaining(failure, PolicyError, "give --out a place that can be written"):
             self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise PolicyError(
-                f"the folder {self.folder} cannot be made ({error.strerror}): give --out a place "
-                "that can be written"
-            ) from None
         self._lock = run_folder.lock(self.folder)
         config.write(self.cfg, self.folder)
         run_folder.clear(self.folder)
@@ -279,8 +252,7 @@ class Run:
             "exploration_type": "categorical",
             "stack_size": 1,
         }
-        folder = self.folder / run_folder.SIMTRACE
-        trace.write_metadata(folder, train.action_space, train.sensors, hyperparameters)
+        trace.write_metadata(self._traces, train.action_space, train.sensors, hyperparameters)
 
     def _progress(self) -> float:
         cfg = self.cfg
@@ -327,7 +299,7 @@ class Run:
     def _add(self, number: int, evaluation: Evaluation, waited_s: float) -> None:
         policy = self._submitted.pop(number)
         self._complete = self._complete + 1 if evaluation.all_complete else 0
-        merit = merit_of(evaluation)
+        merit = evaluator.merit_of(evaluation)
         if self.cfg.self_play:
             # Laps alone do not decide duels: of those that come as far, the newest races best.
             merit = (*merit[:2], float(number))
@@ -336,7 +308,7 @@ class Run:
             self._best, self._best_evaluation = merit, evaluation
             self._save_best(policy, {"updates": float(number), **evaluation.summary})
         self.history.add_evaluation(
-            evaluation, time_s=self.spent_s, took_s=waited_s, best=best, number=number
+            evaluation, number, time_s=self.spent_s, took_s=waited_s, best=best
         )
 
     @memory_explained()
@@ -353,27 +325,29 @@ class Run:
         best = self.folder / "best.pt"
         if self._best_evaluation is None and best.exists():
             # It was evaluated before a resume, which keeps no table.
-            self._best_evaluation = evaluate_policy(self._eval_cfg, checkpoint.load(best))
+            policy = checkpoint.load(best)
+            self._best_evaluation = evaluator.evaluate_policy(self._eval_cfg, policy)
         if self._best_evaluation is not None and self._best_evaluation.complete_laps:
-            self._complete_card(best, callbacks, clean=not complete)
+            self._complete_card(checkpoint.load(best), callbacks, clean=not complete)
         self._save()
 
     def _complete_card(
-        self, path: Path, callbacks: Sequence[TrainingCallback], *, clean: bool
+        self, best: Checkpoint, callbacks: Sequence[TrainingCallback], *, clean: bool
     ) -> None:
         """Write into the best policy's card how clean it drives and how fast rivals it holds."""
+        results: dict[str, float | None] = {}
         if clean:  # who stops at the first laps is in a hurry
             for callback in callbacks:
-                callback.racing(f"driving {CLEAN_RUNS} runs for the policy's card")
-            best = checkpoint.load(path)
-            self._save_best(best, {"clean_share": clean_share(self._eval_cfg, best)})
+                callback.racing(f"driving {evaluator.CLEAN_RUNS} runs for the policy's card")
+            results["clean_share"] = evaluator.clean_share(self._eval_cfg, best)
+            self._save_best(best, results)
         if self.cfg.self_play:
             for callback in callbacks:
                 callback.racing("racing it against itself, slowed, for the policy's card")
-            best, car = checkpoint.load(path), SimConfig().car
-            cfg = DuelConfig(self._eval_cfg.tracks[0], races=_DUELS)
+            car, cfg = SimConfig().car, DuelConfig(self._eval_cfg.tracks[0], races=_DUELS)
             self._duels = found = duels.threshold(cfg, Policy(best, car), Policy(best, car))
-            self._save_best(best, {"pass_pace": found.pace, "hold_pace": found.hold})
+            results |= {"pass_pace": found.pace, "hold_pace": found.hold}
+            self._save_best(best, results)
 
     def _save_best(self, policy: Checkpoint, results: Mapping[str, float | None]) -> None:
         """Write the best policy, with these results on its card, too."""
@@ -413,30 +387,22 @@ class Run:
         try:
             self._card().weight_shapes  # noqa: B018
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            where = ".".join(str(part) for part in first["loc"])
+            first, where, reason = first_problem(error, "values")
             raise ConfigError(
-                f"the checkpoint's card refuses the {where} {brief(first['input'])}: "
-                f"{first['msg'].removeprefix('Value error, ')}"
+                f"the checkpoint's card refuses the {where} {brief(first['input'])}: {reason}"
             ) from None
 
     def _card(self, samples: int = 0) -> Card:
         cfg = self.cfg
         return Card(
-            name=cfg.name,
-            sensors=cfg.train.sensors,
-            action_space=cfg.train.action_space,
-            network=cfg.train.network,
+            **{name: getattr(cfg, name) for name in ("name", "licence", "command")},
+            **{name: getattr(cfg.train, name) for name in _CARD_OF_TRAINING},
             tracks=tuple(name[-80:] for name in cfg.tracks),
-            kind=cfg.train.kind,
             reward=self._reward_card,
             steps=samples,
             train_s=round(self.spent_s, 1),
-            seed=cfg.train.seed,
             parents=self._parents,
-            licence=cfg.licence,
             league_version=__version__,
-            command=cfg.command,
         )
 
 
@@ -454,8 +420,7 @@ def _eval_config(cfg: RunConfig) -> EvalConfig:
         laps=cfg.eval_laps,
         trials=cfg.eval_trials,
         kind=kind,
-        obstacles=cfg.train.obstacles,
-        bots=cfg.train.bots,
+        obstacles=ObstacleConfig(cfg.train.obstacles, "bot" if cfg.train.bots else "box"),
         opponents=opponents,
     )
 

@@ -1,29 +1,23 @@
 """The folder of a run: its lock, whether it holds a run, and how a new one replaces that."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
 from league.errors import ConfigError, PolicyError
 from league.training.monitor import history
 
-LEARNT = ("best.pt", "last.pt", "state.pt")
-"""Files that only learning again would bring back."""
-PRINTED = "printed.txt"
-"""The last lines that a reward function has printed."""
-SIMTRACE = "simtrace"
-"""The folder of traces that community log tools read."""
-_PICTURES = (PRINTED, "training.png", "win_matrix.json", "win_matrix.png", "pool/pool.json")
-_MANY = ("pool/*.pt", "tensorboard/events.out.tfevents.*", f"{SIMTRACE}/**/*-iteration.csv")
+LEARNT = ("best.pt", "last.pt", "state.pt")  # files that only learning again would bring back
+PRINTED = "printed.txt"  # the last lines that a reward function has printed
+SIMTRACE = "simtrace"  # the folder of traces that community log tools read
+_WRITTEN = (
+    *(*LEARNT, PRINTED, "training.png", "win_matrix.json", "win_matrix.png"),
+    *("pool/pool.json", "pool/*.pt"),
+    *("tensorboard/events.out.tfevents.*", f"{SIMTRACE}/**/*-iteration.csv"),
+)
 
 
 def lock(folder: Path) -> int | None:
-    """Keep other runs out of a folder, until `unlock` of the result or the process's end.
-
-    Raises:
-        ConfigError: a run is learning in it.
-    """
+    """Keep other runs out of a folder until `unlock` of the result; ConfigError if it is in use."""
     try:
         import fcntl
     except ImportError:  # Windows
@@ -67,8 +61,6 @@ def summary(folder: Path) -> str:
 
 def clear(folder: Path) -> None:
     """Remove the files of an earlier run, and no others."""
-    for name in (*LEARNT, *_PICTURES):
-        (folder / name).unlink(missing_ok=True)
-    for pattern in _MANY:
+    for pattern in _WRITTEN:
         for path in folder.glob(pattern):
             path.unlink(missing_ok=True)

@@ -1,32 +1,35 @@
-"""A replay as a film: the chase camera with graphics over it."""
+"""A replay as a film, the chase camera with graphics over it; and pictures to an MP4 file."""
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 from av.error import FFmpegError
+from av.video.reformatter import ColorRange, Colorspace
 
 from league.atomic_file import replacing
 from league.errors import ReplayError
+from league.portable_math import direction
 from league.replay import Replay, director
 from league.sim.camera import painting
 from league.sim.camera.ground import floor_of
 from league.sim.camera.renderer import Painter
-from league.sim.camera.scene import CAR as CAR_MODEL
-from league.sim.camera.scene import FAR_CAR, SUN
-from league.sim.camera.scene_state import Lens, SceneState, Thing
-from league.sim.camera.tables import Floor, Pose
-from league.sim.config import CameraConfig
-from league.sim.records import CAR, World
+from league.sim.camera.scene import CAR, FAR_CAR, MODELS, SUN
+from league.sim.camera.scene_state import Lens, SceneState
+from league.sim.camera.tables import SHADE, Floor, Pose
+from league.sim.records import World
+from league.track.markings import placed
 from league.track.track import Rgb
 from league.video.hud import Hud
-from league.video.mp4 import Coding, Mp4
 from league.video.pixels import draw_shadow
 
 SIZE = (1280, 720)
@@ -48,6 +51,84 @@ WALL_GAP = 0.06
 SHADOW_EDGE, SHADOW_KEPT = 0.025, 0.45
 """Half the width of a shadow's soft edge [m]; the brightness that is left in it, as a share."""
 BATCH = 8
+
+
+@dataclass(frozen=True)
+class Coding:
+    """How pictures are compressed."""
+
+    crf: int = 23
+    """Constant rate factor of x264: smaller is finer and larger."""
+    preset: str = "veryfast"
+    """Speed of x264, ultrafast to placebo."""
+    keyframe_s: float = 2.0
+    """Longest time between two key frames [s]: what a viewer decodes at most when it seeks."""
+
+
+class Mp4:
+    """A video being written, H.264, as every browser and the Rerun viewer play it.
+
+    Add pictures, then close it, best in a with block.
+    """
+
+    def __init__(self, target: str | io.BytesIO, fps: int, coding: Coding | None = None) -> None:
+        """Open a video in a file or in memory, at `fps` pictures per second."""
+        self._fps, self._coding = fps, coding or Coding()
+        # In a file the index stands in front, so that a player can start before it has all of it.
+        options = {"movflags": "+faststart"} if isinstance(target, str) else {}
+        self._container = av.open(target, "w", format="mp4", options=options)
+        self._stream: av.VideoStream | None = None
+        self.count = 0
+
+    def __enter__(self) -> Mp4:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def add(self, picture: np.ndarray) -> None:
+        """Append a picture: RGB uint8, (height, width, 3), all of one size with even sides."""
+        if self._stream is None:
+            self._stream = self._begin(picture.shape[1], picture.shape[0])
+        planes = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2YUV_I420), dtype=np.uint8)
+        frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
+        frame.pts = self.count
+        for packet in self._stream.encode(frame):
+            self._container.mux(packet)
+        self.count += 1
+
+    def add_all(self, pictures: list[np.ndarray]) -> None:
+        """Append pictures in their order."""
+        for picture in pictures:
+            self.add(picture)
+
+    def close(self) -> None:
+        """Write what is still held and the index."""
+        try:
+            if self._stream is not None:
+                for packet in self._stream.encode():
+                    self._container.mux(packet)
+        finally:
+            self._container.close()
+
+    def _begin(self, width: int, height: int) -> av.VideoStream:
+        if height % 2 or width % 2:
+            raise ValueError(f"a video's sides must be even, not {width}x{height}")
+        stream = self._container.add_stream("libx264", rate=self._fps)
+        context = stream.codec_context
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        stream.time_base = context.time_base = Fraction(1, self._fps)
+        context.gop_size = max(1, round(self._fps * self._coding.keyframe_s))
+        context.max_b_frames = 0
+        # One thread a video: several videos are made side by side, and the bytes stay the same.
+        context.thread_count = 1
+        # OpenCV's planes are BT.601 at studio range; untagged, players would guess by the size.
+        context.colorspace = Colorspace.ITU601
+        context.color_range = ColorRange.MPEG
+        stream.options = {"crf": str(self._coding.crf), "preset": self._coding.preset, "bf": "0"}
+        return stream
+
+
 CODING = Coding(crf=25, preset="superfast")
 """As fine as "veryfast" in three fifths of its time; the file is half as large again."""
 
@@ -64,20 +145,11 @@ class Film:
                 "1920x1080"
             )
         self._replay = replay
-        camera = CameraConfig(
-            width=width,
-            height=height,
-            colour=True,
-            eyes="mono",
-            field_of_view=VIEW,
-            forward=0.0,
-            up=ABOVE,
-            pitch=TILT,
-        )
         red, green, blue = (round(DARK * part) for part in replay.track.colours.wall)
-        lens = Lens.of(camera)
+        cos, sin = direction(VIEW / 2)
+        lens = Lens(width, height, width / 2 * cos / sin)
         floor = floor_of(replay.track, lens, ABOVE, TILT, colour=True)
-        self._camera, self._painter = camera, _ShadowPainter(lens, floor, (red, green, blue))
+        self._painter = _ShadowPainter(lens, floor, (red, green, blue))
         # OpenCV's own threads cost more than they bring at these sizes.
         cv2.setNumThreads(1)
         self._size = size
@@ -90,12 +162,13 @@ class Film:
         """Return the pictures of these moments, RGB uint8, (height, width, 3) each."""
         world = self._replay.at(times_s)
         x, y, yaw = self._eye(np.clip(times_s, 0.0, self._replay.duration_s))
-        state = SceneState(self._replay.sim, _with_eye(world, x, y, yaw))
-        eye = self._replay.num_cars
-        pictures = []
+        things, pictures = SceneState(self._replay.sim, world).things(gray=False), []
+        tilt_cos, tilt_sin = direction(TILT)
         for row, time_s in enumerate(times_s):
-            pose = state.camera(row, eye, self._camera)
-            picture = self._painter.picture(pose, state.things(row, without=eye))
+            east, north = np.array([x[row], y[row]], np.float32).tolist()
+            cos, sin = direction(yaw[row])
+            pose = Pose(east, north, ABOVE, cos, sin, tilt_cos, tilt_sin)
+            picture = self._painter.picture(pose, things[row])
             if time_s > self.ends_s:
                 self._hud.draw_result(picture)
             else:
@@ -108,7 +181,7 @@ class Film:
         self, world: World, row: int, x: float, y: float, yaw: float
     ) -> list[tuple[int, int, int]]:
         """Return the cars in front of the camera and their names' pixels, the farthest first."""
-        cars = world.cars[row, : self._replay.num_cars]
+        cars = world.cars[row]
         ahead = (cars["x"] - x) * np.cos(yaw) + (cars["y"] - y) * np.sin(yaw)
         right = (cars["x"] - x) * np.sin(yaw) - (cars["y"] - y) * np.cos(yaw)
         below = ABOVE - LABEL_UP
@@ -143,27 +216,32 @@ class _ShadowPainter(Painter):
         super().__init__(lens, gray=False, sky=sky)
         self._floor = floor
 
-    def picture(self, pose: Pose, things: list[Thing]) -> np.ndarray:
-        """Return what is seen from a place, RGB uint8, (height, width, 3)."""
-        pictures = np.empty((1, self._lens.height, self._lens.width, 3), np.uint8)
-        top = self.paint(pictures, pose, self._floor, [], painting.FLOOR)
+    def picture(self, pose: Pose, things: np.ndarray) -> np.ndarray:
+        """Return what is seen from a place, RGB uint8, (height, width, 3).
+
+        `things` are those of a world, lit; see SceneState.things.
+        """
+        pictures = np.empty((1, 1, self._lens.height, self._lens.width, 3), np.uint8)
+        seen = np.zeros(1, np.int64), pictures, np.array([pose]), things[None], self._floor
+        top = self.paint(*seen, painting.FLOOR)
         flat = pictures.reshape(self._lens.height, -1)
         for thing in things:
             shadow = shadow_of(thing)
             draw_shadow(flat, top, shadow, SHADOW_EDGE, SHADOW_KEPT, self._optics, pose)
-        self.paint(pictures, pose, self._floor, things, painting.ROOM)
-        return pictures[0]
+        self.paint(*seen, painting.ROOM)
+        return pictures[0, 0]
 
 
-def shadow_of(thing: Thing) -> np.ndarray:
+def shadow_of(thing: np.ndarray) -> np.ndarray:
     """Return the outline of what keeps the sun from the floor, as sides for `draw_shadow`.
 
-    It is the hull of all corners, each moved along the light down to the floor: (sides, 3).
+    It is the hull of all corners, each moved along the light down to the floor: (sides, 3). The
+    thing is a row of SceneState.things.
     """
-    model = FAR_CAR if thing.model is CAR_MODEL else thing.model  # with wheels as one block
-    corners = np.concatenate([solid.vertices for solid in model.solids]) * thing.scale
-    across = [-thing.sin, thing.cos]
-    places = corners[:, :2] @ np.array([[thing.cos, thing.sin], across]) + (thing.x, thing.y)
+    kind, x, y, cos, sin, _, *scale = thing[:SHADE].tolist()
+    model = FAR_CAR if MODELS[int(kind)] is CAR else MODELS[int(kind)]  # with wheels as one block
+    corners = np.concatenate([solid.vertices for solid in model.solids]) * scale
+    places = placed(corners[:, :2], x, y, cos, sin)
     places -= corners[:, 2:] * np.array(SUN[:2]) / SUN[2]
     hull = cv2.convexHull(places.astype(np.float32)).reshape(-1, 2).astype(float)
     along = np.roll(hull, -1, axis=0) - hull
@@ -211,15 +289,3 @@ def render(
 def still(replay: Replay, time_s: float, *, size: tuple[int, int] = SIZE) -> np.ndarray:
     """Return the picture of one moment, RGB uint8, (height, width, 3)."""
     return Film(replay, size).pictures(np.array([time_s]))[0]
-
-
-def _with_eye(world: World, x: np.ndarray, y: np.ndarray, yaw: np.ndarray) -> World:
-    """Return the worlds with one more, invisible car, which carries the chase camera.
-
-    So the film is drawn as the cars' own cameras are.
-    """
-    cars = np.zeros((world.num_worlds, world.num_cars + 1), CAR)
-    cars[:, :-1] = world.cars
-    eye = cars[:, -1]
-    eye["x"], eye["y"], eye["yaw"] = x, y, yaw
-    return replace(world, cars=cars)

@@ -16,7 +16,7 @@ from league.sim.records import World
 from league.track.markings import Plan
 from league.track.track import Rgb
 from league.video.pixels import mix
-from league.video.top_view import draw_things
+from league.video.stills import draw_things
 
 WHITE: Rgb = (244, 246, 248)
 DIM: Rgb = (168, 178, 188)
@@ -208,18 +208,13 @@ class Hud:
         inset = self._top_view.draw(self._replay, world, row)
         height, width = inset.shape[:2]
         x, y = self._width - width - px(24), self._height - height - px(24)
-        edge = px(2)
-        put_panel(
-            picture,
-            x - edge,
-            y - edge,
-            width + 2 * edge,
-            height + 2 * edge,
-            radius=px(12),
-            colour=(235, 238, 240),
-            opacity=0.85,
-        )
-        put_picture(picture, inset, x, y, radius=px(11))
+        edge, colour = px(2), (235, 238, 240)
+        frame = x - edge, y - edge, width + 2 * edge, height + 2 * edge
+        put_panel(picture, *frame, radius=px(12), colour=colour, opacity=0.85)
+        # With round corners; a picture too small for it cuts it off.
+        region = picture[y : y + height, x : x + width]
+        shown = inset[: region.shape[0], : region.shape[1]]
+        mix(region, shown, _rounded(width, height, px(11)), 256)
 
 
 class TopView:
@@ -282,12 +277,11 @@ def put_text(
     weight: int = 400,
     right: bool = False,
     opacity: float = 1.0,
-) -> int:
-    """Write a text with its top left (or top right) corner at x, y and return its width."""
+) -> None:
+    """Write a text with its top left (or top right) corner at x, y."""
     mask = text_mask(text, size, weight)
     left = x - mask.shape[1] if right else x
     _blend(picture, mask, left, y, colour, opacity)
-    return mask.shape[1]
 
 
 @lru_cache(maxsize=256)
@@ -317,14 +311,6 @@ def put_panel(
 ) -> None:
     """Fill a rectangle with round corners."""
     _blend(picture, _rounded(width, height, radius), x, y, colour, opacity)
-
-
-def put_picture(picture: np.ndarray, inset: np.ndarray, x: int, y: int, *, radius: int) -> None:
-    """Lay a picture over another, with round corners."""
-    height, width = inset.shape[:2]
-    mask = _rounded(width, height, radius)
-    region = picture[y : y + height, x : x + width]
-    mix(region, inset[: region.shape[0], : region.shape[1]], mask, 256)
 
 
 def _blend(

@@ -1,8 +1,5 @@
 """Compiled: shadows on the floor of a whole picture, and paint mixed into a part of one."""
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 
 from numba import uint8, uint32

@@ -31,10 +31,10 @@ from league.errors import LeagueError
 from league.matchmaking import safety
 from league.matchmaking.documents import plain
 from league.matchmaking.store import Store
-from league.web import charts, openapi, submit
+from league.web import charts, openapi, token_api
 from league.web.answers import Answers
 from league.web.downloads import DOWNLOADS
-from league.web.reader import NotFoundError, Reader
+from league.web.reader import Document, NotFoundError, Reader
 from league.web.routes import PAGES, Page
 from league.web.security import Access
 
@@ -92,32 +92,31 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
             template.render(path=path, query=query, origin=origin, **document), status
         )
 
-    def page(one: Page) -> Callable[[Request], Response]:
+    def endpoint(one: Page, shown: Callable[[Request, Document], Response]) -> Callable[..., Any]:
         def respond(request: Request) -> Response:
             with access.reading(request):
-                document = one.read(reader, request)
-                response = render(one.template, request, **document)
-            _let_pass(response, document)
+                with store.at_once():
+                    document = one.read(reader, request)
+                response = shown(request, document)
+            if document.get("progress"):  # how far a heat has come is not kept until it is over
+                response.headers["Cache-Control"] = "no-cache"
+            return response
+
+        return answers.shared(respond, lasting=not one.fleeting) if one.shared else respond
+
+    def page(one: Page) -> Callable[..., Any]:
+        def shown(request: Request, document: Document) -> Response:
+            response = render(one.template, request, **document)
             response.headers["Content-Type"] = f"{one.media_type}; charset=utf-8"
             if one.file:
                 name = one.file.format(**request.path_params)
                 response.headers["Content-Disposition"] = f'attachment; filename="{name}"'
             return response
 
-        return respond
+        return endpoint(one, shown)
 
-    def data(one: Page) -> Callable[[Request], Response]:
-        def respond(request: Request) -> Response:
-            with access.reading(request):
-                document = one.read(reader, request)
-                response = _json(_without_drawings(document))
-            _let_pass(response, document)
-            return response
-
-        return respond
-
-    def kept(one: Page, make: Callable[[Request], Response]) -> Callable[[Request], Any]:
-        return answers.shared(make, lasting=not one.fleeting) if one.shared else make
+    def data(_: Request, document: Document) -> Response:
+        return _json(_without_drawings(document))
 
     def download(answer: Callable[..., Response]) -> Callable[[Request], Response]:
         return lambda request: answer(reader, access, request, **request.path_params)
@@ -133,16 +132,16 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
         return HTMLResponse(content, status, headers)
 
     routes = [
-        *(Route(one.path, kept(one, page(one))) for one in PAGES if one.template),
-        *(Route(one.api_path, kept(one, data(one))) for one in PAGES if one.has_api),
+        *(Route(one.path, page(one)) for one in PAGES if one.template),
+        *(Route(one.api_path, endpoint(one, data)) for one in PAGES if one.has_api),
         *(Route(path, download(answer)) for path, answer in DOWNLOADS.items()),
         Route(openapi.PATH, lambda _: _json(openapi.document(store.settings.name))),
         *(Route(f"/static/{name}", _static(name)) for name in STATIC),
         Route("/favicon.ico", lambda _: RedirectResponse("/static/icon.svg", 308)),
     ]
     if not exported:
-        routes += [one.route(reader, access, render) for one in submit.FORMS]
-        routes += [one.route(store, access) for one in openapi.PROTECTED]
+        routes += [one.route(reader, access, render) for one in token_api.FORMS]
+        routes += [one.route(store, access) for one in token_api.ADDRESSES]
     app = Starlette(
         routes=routes,
         middleware=[
@@ -161,12 +160,6 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
                     one.document(reader, **dict.fromkeys(one.query, ""))
 
     return App(app, warm)
-
-
-def _let_pass(response: Response, document: Mapping[str, Any]) -> None:
-    """Let an answer that tells how far a heat has come not be kept until the heat is over."""
-    if document.get("progress"):
-        response.headers["Cache-Control"] = "no-cache"
 
 
 def _status(error: Exception) -> tuple[int, str]:

@@ -25,8 +25,8 @@ from starlette.responses import RedirectResponse, Response
 
 from league.errors import ReplayError
 from league.matchmaking.store import Store
-from league.video import strip
-from league.web.pages import heat
+from league.video import stills
+from league.web.pages import heats
 from league.web.reader import NotFoundError, Reader
 from league.web.security import Access
 
@@ -43,12 +43,12 @@ def camera(
     reader: Reader, access: Access, request: Request, number: int, race: int, car: int
 ) -> Response:
     """Return what one car saw in a race, as a film strip."""
-    digest = heat.recording(reader, number, race)
+    digest = heats.recording(reader, number, race)
     replay = reader.replay(digest)
     if not 1 <= car <= replay.num_cars:
         raise NotFoundError(f"This race has the cars 1 to {replay.num_cars}.")
     content = access.large(
-        reader, request, ("strip", digest, car), lambda: strip.picture(replay, car - 1)
+        reader, request, ("strip", digest, car), lambda: stills.strip(replay, car - 1)
     )
     return Response(content, media_type="image/jpeg", headers=FOR_GOOD)
 
@@ -65,7 +65,7 @@ def checkpoint(reader: Reader, _access: Access, _request: Request, number: int) 
 
 def recording(reader: Reader, access: Access, request: Request, number: int, race: int) -> Response:
     """Return a race as a file of the Rerun viewer."""
-    digest = heat.recording(reader, number, race)
+    digest = heats.recording(reader, number, race)
     content = access.large(reader, request, ("rerun", digest), lambda: rrd_of(reader.store, digest))
     return Response(content, media_type="application/octet-stream", headers=FOR_GOOD)
 
@@ -81,7 +81,7 @@ def open_race(
     """Lead to the viewer with a race."""
     from league.rerun_view import viewer
 
-    heat.recording(reader, number, race)
+    heats.recording(reader, number, race)
     origin = str(request.base_url).rstrip("/")
     url = quote(f"{origin}/heats/{number}/races/{race}/race.rrd", safe="")
     return RedirectResponse(

@@ -9,15 +9,13 @@ from typing import Any, Literal
 from pydantic import TypeAdapter
 
 from league import __version__
-from league.web import submit, worker_api
+from league.web import token_api
 from league.web.protected import Protected
 from league.web.routes import PAGES, Page
 
 PARAMETER = re.compile(r"\{(\w+):number\}")
 PATH = "/api/v1/openapi.json"
 """Address of the document."""
-PROTECTED = (*submit.ADDRESSES, *worker_api.ADDRESSES)
-"""All addresses that need a token."""
 REFUSALS = {
     "401": "The token is missing, not known, or has ended.",
     "403": "The token does not allow this.",
@@ -49,7 +47,7 @@ def document(name: str) -> dict[str, Any]:
     }
     paths |= {
         PARAMETER.sub(r"{\1}", one.path): {one.method.lower(): _protected(one, schemas)}
-        for one in PROTECTED
+        for one in token_api.ADDRESSES
     }
     return {
         "openapi": "3.1.0",

@@ -18,7 +18,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
-from league.errors import DatabaseError, LeagueError, QuotaError, brief
+from league.errors import DatabaseError, LeagueError, QuotaError, brief, first_problem
 from league.matchmaking.documents import plain
 from league.matchmaking.store import Scope, Store, Token
 from league.web.reader import Document, Reader
@@ -116,8 +116,7 @@ class Protected:
         try:
             return self.body.model_validate_json(content)
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-        where = ".".join(str(part)[:40] for part in first["loc"]) or "The body"
+            first, where, _ = first_problem(error, "The body")
         found = "" if first["type"] in ("missing", "json_invalid") else brief(first["input"])
         reason = f"{first['msg'][:200]}{f', not {found}' if found else ''}"
         raise HTTPException(422, f"{where}: {reason}; see /api/v1/openapi.json.")

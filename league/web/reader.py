@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import math
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Generator, Hashable, Iterable, Mapping
+from collections.abc import Callable, Generator, Hashable, Iterable, Iterator, Mapping
 from statistics import median
 from typing import Any, TypeVar
+from urllib.parse import urlencode
 
 from league.errors import LeagueError, StoreError
 from league.matchmaking.documents import heat_document
+from league.matchmaking.pairing.heat_spec import Half
 from league.matchmaking.standings import Standings
 from league.matchmaking.store import HeatRecord, HeatState, LeagueEntry, Store, StoredResult
 from league.racing_line.racing_line import lap_bound
 from league.replay import Replay, format
 from league.sim.config import CarConfig
-from league.track.track import Track
+from league.track import files
 from league.web import snapshot
 from league.web.snapshot import Snapshot
 
@@ -27,6 +30,9 @@ FRESH_S = 1.0
 QUICK_S = 0.1
 """A snapshot that takes more of a processor than this [s] is taken by a thread of its own; until
 then new races are added to the last one."""
+MANY, PATIENCE_S = 3, 4.0
+"""While so many first answers are made, a snapshot that takes long is brought up to date so much
+later [s]: the requests that wait for them have more of the processor."""
 REST = 4.0
 """The next one waits so many times as long as the last one worked: a fifth of a processor."""
 SETTLED_REST = 24.0
@@ -41,6 +47,8 @@ MOST_WAITING = 4
 """Requests that wait for a turn, see `Reader.turn`; more are asked to come back."""
 USUAL = 20
 """Newest heats that tell how long one takes."""
+PER_PAGE = 100
+"""Lines on one page of a long list."""
 T = TypeVar("T")
 Document = dict[str, Any]
 """The data of a page, or a part of it; documents.plain makes JSON of it."""
@@ -64,6 +72,8 @@ class Reader:
         self._snapshot: Snapshot | None = None
         self._is_slow, self._due_s = False, 0.0
         self._taken_s, self._took_s = 0.0, 0.0
+        self.num_making = 0
+        """Answers that are being made, which requests wait for; set by `Answers`."""
         self._counts: tuple[int, dict[HeatState, int]] | None = None
         self._counts_due_s = 0.0
         self._kept: OrderedDict[Hashable, Any] = OrderedDict()
@@ -78,7 +88,8 @@ class Reader:
         possible, or another request does it just now, an older one is returned.
         """
         now = self._snapshot
-        if now is not None and time.monotonic() < self._due_s:
+        later_s = PATIENCE_S if self._is_slow and self.num_making >= MANY else 0.0
+        if now is not None and time.monotonic() < self._due_s + later_s:
             return now
         if self._taking.acquire(blocking=now is None or not self._is_slow):
             try:
@@ -177,11 +188,14 @@ class Reader:
         """Return a recording by the hash of its file."""
         return self.kept(("replay", digest), lambda: format.decode(self.store.blobs.get(digest)))
 
-    def bound_s(self, track: Track) -> float | None:
+    def bound_s(self, track: str) -> float | None:
         """Return the time that no flying lap can beat [s]; None where a track is no loop."""
-        if not track.closed:
-            return None
-        return self.kept(("bound", track.name), lambda: lap_bound(track, CarConfig()))
+
+        def bound() -> float | None:
+            course = files.load(track)
+            return lap_bound(course, CarConfig()) if course.closed else None
+
+        return self.kept(("bound", track), bound)
 
     def kept(self, key: Hashable, make: Callable[[], T], *, in_turn: bool = False) -> T:
         """Return what `make` returns, made once for each key that was asked for lately.
@@ -284,7 +298,7 @@ class Reader:
     def results(self, records: Iterable[HeatRecord]) -> dict[int, list[StoredResult]]:
         """Return all results of some heats, by their numbers; see `Store.results`."""
         found: dict[int, list[StoredResult]] = {record.number: [] for record in records}
-        for result in self.store.results(*found):
+        for result in self.store.results(*found) if found else ():
             found[result.heat].append(result)
         return found
 
@@ -304,16 +318,13 @@ class Reader:
         for record in records:
             winners: list[str] = []
             races: list[Document] = []
-            for number, half in enumerate(record.heat.halves):
-                result = accepted(results[record.number], number)
-                if result is None:
-                    continue
+            for number, half, result in raced(record, results[record.number]):
                 winners.append(names[half.grid[result.places.index(min(result.places))]])
                 if of is not None and of.id in half.grid:
                     car = half.grid.index(of.id)
                     row = next((row for row in result.result["order"] if row["car"] == car), {})
                     place, finished = result.places[car], row.get("finished", True)
-                    races.append({"race": number + 1, "place": place, "finished": finished})
+                    races.append({"race": number, "place": place, "finished": finished})
             line = {**heat_document(record, names), "winners": winners}
             lines.append(line if of is None else {**line, "own": races})
         return lines
@@ -328,13 +339,63 @@ class _Names(dict[str, str]):
         return self._reader.entry_of(id).name
 
 
+def is_number(text: str) -> bool:
+    """Return whether a text is a number, as short as those of drivers and heats."""
+    return text.isascii() and text.isdecimal() and len(text) < 16
+
+
 def heat_number(text: str, what: str = "heat") -> int:
     """Return the number of a heat that was asked for; whether there is one is not looked up."""
-    if not (text.isascii() and text.isdecimal() and len(text) < 16):
+    if not is_number(text):
         raise NotFoundError(f"{text[:20]!r} is no {what}: give a number.")
     return int(text)
+
+
+def raced(
+    record: HeatRecord, results: list[StoredResult]
+) -> Iterator[tuple[int, Half, StoredResult]]:
+    """Yield those races of a heat that have a result: number, from 1, grid and result."""
+    for number, half in enumerate(record.heat.halves):
+        if (result := accepted(results, number)) is not None:
+            yield number + 1, half, result
 
 
 def accepted(results: list[StoredResult], half: int) -> StoredResult | None:
     """Return the result of a race that was not rejected, if there is one."""
     return next((one for one in results if one.half == half and not one.rejected), None)
+
+
+def paging(
+    lines: int, page: str, what: str, path: str, asked: Mapping[str, str], per_page: int = 0
+) -> tuple[slice, Document]:
+    """Return which lines of a list a page shows, and what its data tells of that.
+
+    That is its number, how many pages there are, and numbers and addresses of this and some others.
+
+    Args:
+        lines: how many the list has.
+        page: number that was asked for, from 1; empty for the first one.
+        what: the list, in plural, for the error.
+        path: of its pages.
+        asked: other parameters of the request.
+        per_page: lines on one page; by default `PER_PAGE`.
+
+    Raises:
+        NotFoundError: there is no such page.
+    """
+    per_page = per_page or PER_PAGE
+    pages = math.ceil(lines / per_page) or 1
+    if page and page not in map(str, range(1, pages + 1)):
+        raise NotFoundError(f"The {what} have the pages 1 to {pages}.")
+    number = int(page or 1)
+    pager: list[tuple[str, str]] = []
+    for other in sorted({1, pages, *range(max(1, number - 2), min(pages, number + 2) + 1)}):
+        there = address(path, {**asked, "page": str(other)} if other > 1 else asked)
+        pager.append((str(other), "" if other == number else there))
+    lines_shown = slice((number - 1) * per_page, number * per_page)
+    return lines_shown, {"page": number, "pages": pages, "pager": pager}
+
+
+def address(path: str, asked: Mapping[str, str]) -> str:
+    """Return the address of a page with some parameters."""
+    return f"{path}?{urlencode(asked)}" if asked else path

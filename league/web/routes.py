@@ -6,26 +6,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from starlette.convertors import Convertor, register_url_convertor
+from starlette.convertors import IntegerConvertor, register_url_convertor
 from starlette.requests import Request
 
-from league.web.pages import driver, ghosts, heat, home, seasons, table, tracks
+from league.web.pages import driver, heats, laps, seasons, table
 from league.web.reader import Document, Reader
 from league.web.schemas import pages as schemas
 from league.web.schemas import races
-from league.web.schemas import seasons as season_schemas
 
 
-class _Number(Convertor[int]):
+class _Number(IntegerConvertor):
     """Numbers in addresses: no longer than any that a league has."""
 
     regex = "[0-9]{1,15}"
-
-    def convert(self, value: str) -> int:
-        return int(value)
-
-    def to_string(self, value: int) -> str:
-        return str(value)
 
 
 register_url_convertor("number", _Number())
@@ -74,7 +67,7 @@ class Page:
 
 
 PAGES = (
-    Page("/", "The most contested recent race and the top of the standings", home.document,
+    Page("/", "The most contested recent race and the top of the standings", heats.home,
          "home.html", shared=True,
          answer=schemas.HomeAnswer),
     Page("/standings", "The standings", table.document, "standings.html",
@@ -95,53 +88,53 @@ PAGES = (
          query={"before": "Number of a heat: only earlier ones are listed",
           "season": "Number of a season: only its heats are listed"},
          answer=schemas.MatchupAnswer),
-    Page("/heats", "The heats that are done, the newest first", home.heats, "heats.html",
+    Page("/heats", "The heats that are done, the newest first", heats.heats, "heats.html",
          shared=True,
          query={"driver": "Number of a driver: only its heats, and how it did in each race",
           "page": "Number of the page, from 1"},
          answer=schemas.HeatsAnswer),
-    Page("/feed.atom", "The newest heats as a feed", home.feed, "feed.xml", shared=True,
+    Page("/feed.atom", "The newest heats as a feed", heats.feed, "feed.xml", shared=True,
          media_type="application/atom+xml"),
-    Page("/heats/{number:number}", "A heat, and one of its races", heat.document, "heat.html",
+    Page("/heats/{number:number}", "A heat, and one of its races", heats.heat, "heat.html",
          shared=True,
          query={"race": "Number of the race within the heat, from 1",
           "lap": "Number of the lap to compare, from 1; empty for each car's best one"},
          answer=races.HeatAnswer),
     Page("/heats/{number:number}/races/{race:number}/replay", "What the player draws of a race",
-         heat.replay, shared=True,
+         heats.replay, shared=True,
          answer=races.PlayedRace),
     Page("/heats/{number:number}/races/{race:number}/file",
          "A file that plays a race without a server",
-         heat.one_file, "one_file.html", file="heat_{number}_race_{race}.html"),
-    Page("/tracks", "The tracks, and the best clean laps on each", tracks.document, "tracks.html",
+         heats.one_file, "one_file.html", file="heat_{number}_race_{race}.html"),
+    Page("/tracks", "The tracks, and the best clean laps on each", laps.tracks, "tracks.html",
          shared=True,
          answer=schemas.TracksAnswer),
-    Page("/ghosts", "Any two laps on a track against each other", ghosts.document, "ghosts.html",
+    Page("/ghosts", "Any two laps on a track against each other", laps.ghosts, "ghosts.html",
          shared=True,
          query={"track": "Name of the track",
           "one": "A lap as heat.race.car.lap, or the number of a driver: its best clean lap",
           "other": "The same, for the second lap",
           "heat": "Number of a heat of which all laps are offered"},
          answer=schemas.GhostsAnswer),
-    Page("/ghosts/replay", "What the player draws of two laps", ghosts.replay, shared=True,
+    Page("/ghosts/replay", "What the player draws of two laps", laps.ghosts_replay, shared=True,
          query={"one": "A lap as heat.race.car.lap", "other": "The second lap"},
          answer=races.PlayedRace),
     Page("/time-attack", "The fastest clean laps on each track, for each kind of race",
-         tracks.boards, "boards.html", shared=True,
+         laps.boards, "boards.html", shared=True,
          query={"races": "Kind of race: head_to_head, time_trial or obstacle_avoidance"},
          answer=schemas.BoardsAnswer),
     Page("/seasons", "Past seasons with their trophies, and cups", seasons.document, "seasons.html",
-         shared=True, answer=season_schemas.SeasonsAnswer),
+         shared=True, answer=races.SeasonsAnswer),
     Page("/seasons/{number:number}", "A season's final standings and trophies", seasons.season,
          "season.html", query={"page": "Number of the page of the final standings, from 1"},
-         answer=season_schemas.SeasonAnswer),
+         answer=races.SeasonAnswer),
     Page("/cups/{number:number}", "A cup: qualifying and bracket", seasons.cup, "cup.html",
          query={"round": "Number of a round with many heats, from 1, instead of the last rounds",
           "page": "Number of the page of the qualifying, or of that round, from 1"},
-         answer=season_schemas.CupAnswer),
+         answer=races.CupAnswer),
     Page("/definitions", "What the numbers mean", table.definitions, "definitions.html",
          answer=schemas.DefinitionsAnswer),
-    Page("/live", "Running heats, queue, workers, heats per minute", home.live, "live.html",
+    Page("/live", "Running heats, queue, workers, heats per minute", heats.live, "live.html",
          shared=True, fleeting=True,
          answer=schemas.LiveAnswer),
 )  # fmt: skip

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import uvicorn
 
-from league.errors import ConfigError
+from league.errors import ConfigError, explaining
 from league.matchmaking.store import Store
 from league.web.app import make_app
 from league.web.security import Access
@@ -56,14 +56,10 @@ def serve(
     # answer waits 40 ms for the acknowledgement of its head.
     with socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP) as listener:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
+        failure = f"the port {port} of {host} cannot be opened"
+        with explaining(failure, ConfigError, "give another --port, or an address of this machine"):
             listener.bind((host, port))
             listener.listen()
-        except OSError as error:
-            raise ConfigError(
-                f"the port {port} of {host} cannot be opened ({error.strerror}): give another "
-                "--port, or an address of this machine"
-            ) from error
         shown = f"[{host}]" if ":" in host else host
         ready(f"http://{shown}:{listener.getsockname()[1]}/")
         # Uvicorn takes a client's address from X-Forwarded-For only if a proxy here sends it.
@@ -76,37 +72,27 @@ def serve(
             lifespan="off",
             limit_concurrency=CONNECTIONS,
         )
-        with _rare_collections(), _quick_turns():
+        with _settings_of_a_server():
             uvicorn.Server(config).run(sockets=[listener])
 
 
 @contextmanager
-def _rare_collections() -> Generator[None]:
-    """Let Python look through its old objects for garbage a hundred times less often.
+def _settings_of_a_server() -> Generator[None]:
+    """Change how Python collects garbage and lets threads take turns.
 
     A league of 10,000 entries is half a million objects without cycles; looking through them holds
-    up all requests for 0.15 s, several times while a snapshot is taken.
+    up all requests for 0.15 s, several times while a snapshot is taken: so old objects are looked
+    through a hundred times less often. Threads that make pages give way to the event loop after
+    half a millisecond, not five: it gives its turn away with each packet that it reads or sends.
     """
-    before = gc.get_threshold()
+    before, turn_s = gc.get_threshold(), sys.getswitchinterval()
     gc.set_threshold(700, 10, 1000)
-    try:
-        yield
-    finally:
-        gc.set_threshold(*before)
-
-
-@contextmanager
-def _quick_turns() -> Generator[None]:
-    """Let threads that make pages give way to the event loop after half a millisecond, not five.
-
-    It gives its turn away with each packet that it reads or sends.
-    """
-    before = sys.getswitchinterval()
     sys.setswitchinterval(TURN_S)
     try:
         yield
     finally:
-        sys.setswitchinterval(before)
+        gc.set_threshold(*before)
+        sys.setswitchinterval(turn_s)
 
 
 def _names(store: Store, host: str, access: Access) -> tuple[str, ...]:

@@ -21,7 +21,9 @@ FROZEN = [field.name for field in fields(Row)]
 """What a frozen line may tell; those of older versions tell less."""
 PASSING = frozenset({"plan", "claim", "complete", "fail", "lose", "retry", "reap"})
 """What happens to heats all the time, and changes nothing but the races."""
-SHARED = "by_number", "by_id", "by_digest", "by_parent", "owners", "kinds", "moves_by_entry"
+SHARED = (
+    "by_number", "by_id", "by_owner", "by_digest", "by_parent", "owners", "kinds", "moves_by_entry",
+)  # fmt: skip
 """What follows from entries and divisions alone."""
 
 
@@ -74,6 +76,14 @@ class Snapshot:
         return {entry.id: entry for entry in self.entries}
 
     @cached_property
+    def by_owner(self) -> dict[str, list[LeagueEntry]]:
+        """The entries of each owner."""
+        found: dict[str, list[LeagueEntry]] = {}
+        for entry in self.entries:
+            found.setdefault(entry.owner, []).append(entry)
+        return found
+
+    @cached_property
     def by_digest(self) -> dict[str, LeagueEntry]:
         """The entries by the digests of their checkpoints."""
         return by_digest(self.entries)
@@ -83,15 +93,23 @@ class Snapshot:
         """The entries that were trained from a checkpoint, by its digest."""
         return by_parent(self.entries)
 
-    @cached_property
+    @property
     def rows(self) -> dict[int, Row]:
         """The lines of the standings by the entries' numbers, best first."""
-        return {row.number: row for row in self.rated.rows} if self.rated else {}
+        return self.rated.by_number if self.rated else {}
 
     @cached_property
     def clean_laps(self) -> dict[str, list[BestLap]]:
         """The fastest clean lap of each entry on each track, the fastest first."""
         return clean_laps(self.rated.races, self.rated.tracks) if self.rated else {}
+
+    @cached_property
+    def lap_places(self) -> dict[str, dict[int, int]]:
+        """Where each entry stands among these laps, from 0, by track and number."""
+        return {
+            track: {lap.number: place for place, lap in enumerate(laps)}
+            for track, laps in self.clean_laps.items()
+        }
 
     @cached_property
     def moves_by_entry(self) -> dict[int, list[tuple[Season, Move]]]:

@@ -17,6 +17,7 @@ from league.sim.config import (
     SensorConfig,
     SimConfig,
 )
+from league.sim.records import World
 from league.track.track import TrackSet
 from tests.scenes import assert_same, follow_center, make_ring, make_square, taken
 
@@ -367,3 +368,32 @@ def test_rewards_that_weigh_nothing_are_not_told(race_env):
 def test_worlds_on_tracks_that_are_not_there_are_refused(race_env, index):
     with pytest.raises(ValueError, match=r"track_index is .*: give each of the 2 worlds .* 0 to 0"):
         race_env(num_worlds=2).reset(track_index=np.array(index))
+
+
+def test_races_go_on_from_rows_of_a_snapshot_as_they_did(race_env):
+    env = race_env(sim=TWO, num_worlds=3)
+    env.reset(seed=5)
+    for step in range(10):
+        env.step(wild(env, step))
+    snapshot, before = env.world.copy(), taken(env.observations)
+
+    def go_on() -> World:
+        for step in range(40):
+            env.step(wild(env, step))
+        return env.world.copy()
+
+    first = go_on()
+    env.restore(snapshot)
+    assert_same(taken(env.observations), before)
+    assert_same(go_on(), first)
+    env.restore(snapshot.rows(np.array([2, 2, 0])))
+    assert_same(go_on(), first.rows(np.array([2, 2, 0])))
+
+
+@pytest.mark.parametrize(
+    "settings", [{"solver": "bullet"}, {"sensors": (SMALL,)}, {"mode": "training"}]
+)
+def test_a_snapshot_that_does_not_hold_all_is_refused(race_env, settings):
+    env = race_env(**settings)
+    with pytest.raises(ConfigError, match="go on from a snapshot"):
+        env.restore(env.world.copy())

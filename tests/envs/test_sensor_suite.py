@@ -61,11 +61,6 @@ def test_rates_hold_over_an_hour(rate_hz):
     assert fresh == pytest.approx(rate_hz * 3600, abs=1)
 
 
-@pytest.mark.parametrize(("rate_hz", "told"), [(10.0, 10.0), (15.0, 15.0), (60.0, 15.0)])
-def test_effective_rate_is_never_above_the_control_rate(rate_hz, told):
-    assert observations.effective_rate_hz(rate_hz, 15) == told
-
-
 @pytest.mark.parametrize("num_worlds", [1, 3])
 def test_lidar_at_10_hz_tells_ten_new_scans_in_fifteen_steps(race_env, num_worlds):
     env = race_env(num_worlds=num_worlds, sensors=(carried(),))

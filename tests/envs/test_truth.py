@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from league.envs import truth
+from league.envs import observations
 from league.envs.config import EnvConfig, Scenarios
 from league.envs.make import sensors_of_car
 from league.envs.race_env import RaceEnv
@@ -15,7 +15,7 @@ from league.training.ppo import symmetry
 from tests.scenes import make_ring, stand
 
 RING = TrackSet(make_ring())
-AT = {name: place for place, name in enumerate(truth.FIELDS)}
+AT = {name: place for place, name in enumerate(observations.TRUTH_FIELDS)}
 
 
 def env(num_cars: int = 2, tracks: TrackSet = RING, **settings) -> RaceEnv:
@@ -26,7 +26,7 @@ def env(num_cars: int = 2, tracks: TrackSet = RING, **settings) -> RaceEnv:
 def seen(world: RaceEnv, car: int) -> dict[str, float]:
     world._sensors._fresh.clear()
     row = world.observations[car]["truth"][0]
-    return {name: float(row[AT[name]]) for name in truth.FIELDS}
+    return {name: float(row[AT[name]]) for name in observations.TRUTH_FIELDS}
 
 
 def test_a_rival_ahead_and_to_the_left_is_where_it_is():
@@ -53,7 +53,7 @@ def test_a_rival_ahead_and_to_the_left_is_where_it_is():
 def test_a_rival_out_of_reach_is_not_there():
     world = env()
     stand(RING, world.world.cars[:, 0], 0.0)
-    stand(RING, world.world.cars[:, 1], truth.REACH + 0.1)
+    stand(RING, world.world.cars[:, 1], observations.REACH + 0.1)
     found = seen(world, 0)
     assert all(value == 0.0 for name, value in found.items() if name.startswith("car_"))
 
@@ -63,7 +63,7 @@ def test_the_nearest_three_rivals_come_in_order():
     for car, s in enumerate((3.0, 4.5, 2.5, 6.0, 6.9)):
         stand(RING, world.world.cars[:, car], s)
     found = seen(world, 0)
-    gaps = [found[f"car_{rank}_gap"] for rank in range(truth.RIVALS)]
+    gaps = [found[f"car_{rank}_gap"] for rank in range(observations.RIVALS)]
     np.testing.assert_allclose(gaps, [-0.5, 1.5, 3.0], rtol=0, atol=1e-5)
 
 
@@ -85,7 +85,7 @@ def test_it_is_listed_where_the_car_carries_it():
     world = RaceEnv(RING, cfg)
     assert "truth" in list(world.observations[0])
     assert "truth" not in list(world.observations[1])
-    assert world.observations[1]["truth"].shape == (1, truth.SIZE)
+    assert world.observations[1]["truth"].shape == (1, observations.TRUTH_SIZE)
 
 
 def test_the_mirror_image_is_what_the_mirrored_car_sees():
@@ -107,7 +107,7 @@ def test_the_mirror_image_is_what_the_mirrored_car_sees():
     one._sensors._fresh.clear()
     for car in range(3):
         mirrored = symmetry.numbers(
-            torch.from_numpy(one.observations[car]["truth"].copy()), truth.FIELDS
+            torch.from_numpy(one.observations[car]["truth"].copy()), observations.TRUTH_FIELDS
         )
         np.testing.assert_allclose(
             mirrored.numpy(), other.observations[car]["truth"], rtol=0, atol=2e-5

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from league.errors import ConfigError
 from league.matchmaking.ratings import (
@@ -501,6 +502,68 @@ def test_a_large_field_of_which_three_have_raced_has_finite_intervals(duels_each
     assert large.sd[1] == pytest.approx(small.sd[1], rel=0.1)
 
 
+def written_out(results, size):
+    """Return spread and sd [Elo] of a field of duels from one dense table of all its entries."""
+    natural, (one, other) = math.log(10) / 400, results.entries.T
+    duels, parameters = np.arange(len(results)), np.zeros(size + 2)
+    turns = np.zeros((len(results), size + 2))
+    for column, sign in ((one, 1), (other, -1), (np.full(len(one), size), 1), (size + 1, -1)):
+        turns[duels, column] = sign
+    won = (results.places[:, 0] < results.places[:, 1]).astype(float)
+
+    def at(log_variance):
+        prior = np.full(size + 2, math.exp(-log_variance) / natural**2)
+        prior[size:] = 2 / (300 * natural) ** 2
+        for _ in range(12):
+            chance = 1 / (1 + np.exp(-turns @ parameters))
+            curved = turns.T @ (turns * (chance * (1 - chance))[:, None])
+            slope = turns.T @ (won - chance) - prior * parameters
+            parameters[:] += np.linalg.solve(curved + np.diag(prior), slope)
+        inverse = np.linalg.inv(curved + np.diag(prior))
+        return curved, inverse, prior, turns * (won - chance)[:, None]
+
+    def drift(log_variance):
+        _, inverse, _, _ = at(log_variance)
+        square = (parameters[:size] ** 2).sum() + inverse.diagonal()[:size].sum()
+        pull = 2 * (log_variance - math.log(300**2)) / (2 * math.log(3)) ** 2
+        return square * math.exp(-log_variance) / natural**2 - size - pull
+
+    log_variance = brentq(drift, 2 * math.log(20), 2 * math.log(400), xtol=1e-6)
+    curved, inverse, prior, scores = at(log_variance)
+    weights = curved.diagonal()[:size] / curved.diagonal()[:size].sum()
+    taken = np.hstack([(np.eye(size) - weights) / (1 - weights)[:, None], np.zeros((size, 2))])
+    heats = scores[::2] + scores[1::2]  # two races each
+    towards = taken @ inverse
+    model = (towards * taken).sum(axis=1)
+    robust = ((towards @ heats.T) ** 2).sum(axis=1) + (towards**2 * prior).sum(axis=1)
+    raced = np.bincount(results.entries.ravel(), minlength=size) / 2
+    field = (raced * robust / model).sum() / raced.sum()
+    drawn = (raced * robust / model + 50 * field) / (raced + 50)
+    return math.exp(log_variance / 2), np.sqrt(model * np.maximum(1, drawn)) / natural
+
+
+@pytest.mark.parametrize(
+    ("size", "heats", "dense_most", "within"),
+    [
+        (1501, 2, 1500, 1e-4),  # few of many: factored all the same
+        (600, 300, 1500, 1e-4),
+        (400, 2, 2, 0.02),  # by probes
+        (600, 300, 10, 0.02),
+    ],
+)
+def test_a_young_league_of_many_is_rated_as_one_dense_table_says(size, heats, dense_most, within):
+    generator = np.random.default_rng(5)
+    results = raced(generator, np.zeros(size), random_grids(generator, size, 2, heats))
+    rated = fit(results, RatingSettings(dense_most=dense_most), entries=range(size))
+    spread, sd = written_out(results, size)
+    assert rated.prior_sd == pytest.approx(spread, rel=within)
+    waiting = rated.races == 0
+    assert rated.sd[waiting] == pytest.approx(sd[waiting], rel=within)
+    assert rated.sd.mean() == pytest.approx(sd.mean(), rel=within)
+    if within < 1e-3:
+        assert rated.sd == pytest.approx(sd, rel=within)
+
+
 def test_large_fields_rate_alike_by_iteration():
     generator = np.random.default_rng(9)
     strengths = np.sort(generator.normal(0, 200, 300))
@@ -573,7 +636,7 @@ def test_ranks_that_the_races_allow_are_those_of_whole_intervals():
     # 95 % are 1.96 sd to each side: 1200 +- 20, 1100 +- 98, 1000 +- 59 and 800 +- 20.
     field = fit(results_of([]), entries=range(4))
     elo, sd = np.array([800.0, 1200.0, 1000.0, 1100.0]), np.array([10.0, 10.0, 30.0, 50.0])
-    rated = replace(field, elo=elo, sd=sd, provisional=np.zeros(4, bool))
+    rated = replace(field, elo=elo, sd=sd, connected=np.ones(4, bool))
     best, worst = rated.possible_ranks()
     # 1198 reaches beyond 1180, and 1059 beyond 1002; all of the last one is below 941.
     assert (best.tolist(), worst.tolist()) == ([0, 0, 1, 3], [1, 2, 2, 3])

@@ -46,8 +46,9 @@ class Floor:
         controls = np.zeros((*self.cars.shape, 2), np.float32)
         controls[..., 0], controls[..., 1] = steering, speed
         seen, notes = [], []
+        world = records.World(self.worlds, self.cars, self.obstacles)
         for _ in range(steps):
-            self.solver.step(self.cars, self.obstacles, self.worlds, controls, self.touched)
+            self.solver.step(world, controls, self.touched)
             self.cars["target_steering"] = controls[..., 0]
             self.cars["target_speed"] = controls[..., 1]
             seen.append(self.cars.copy())

@@ -120,7 +120,7 @@ def bullet(solver) -> Physics:
 
     def step(now: World, asked: np.ndarray) -> Outcome:
         after, contacts = now.copy(), touch(now)
-        solver.step(after.cars, after.obstacles, after.worlds, asked, contacts)
+        solver.step(after, asked, contacts)
         return Outcome(after.cars, contacts)
 
     return step

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numba import njit
 
-from league.sim.camera import floor_raster, raster
+from league.sim.camera import painting, raster
 from league.sim.camera.ground import texels
-from league.sim.camera.renderer import MODELS, _part, models
-from league.sim.camera.scene import CAR, DECK, FAR_CAR
+from league.sim.camera.renderer import _part, models
+from league.sim.camera.scene import CAR, DECK, FAR_CAR, MODELS
 from league.sim.camera.tables import THING_COLUMNS, Optics, Pose, Room, Texture
 
 
@@ -20,7 +20,7 @@ def draw_room(pictures, optics, view, room, things, far, models):
 
 @njit
 def draw_floor(pictures, start, stop, texture, optics, view):
-    floor_raster.draw_floor(pictures, start, stop, texture, optics, view)
+    painting.draw_floor(pictures, start, stop, texture, optics, view)
 
 
 def optics(channels=1, eyes=(0.0,), focal=10.0, cx=4.5, cy=4.5):

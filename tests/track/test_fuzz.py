@@ -100,7 +100,7 @@ def _mutated(text: str, generator: np.random.Generator) -> str:
 
 def _is_sound(track: Track) -> bool:
     numbers = np.concatenate([track.center, track.left, track.right])
-    return bool(np.isfinite(numbers).all()) and build.sound(track, "here") is track
+    return bool(np.isfinite(numbers).all()) and build.sound(track) is track
 
 
 def test_any_text_ends_in_a_sound_track_or_a_track_error():

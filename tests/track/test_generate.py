@@ -13,7 +13,7 @@ def _drawn(count: int = 60, **wishes):
 
 def test_generated_tracks_are_sound_and_as_asked():
     for track in _drawn():
-        build.sound(track, track.name)  # crossings, overlaps, radii, reach
+        build.sound(track)  # crossings, overlaps, radii, reach
         assert track.closed
         assert track.min_radius >= 0.5
         assert 0.599 < track.width < 1.101

@@ -77,7 +77,11 @@ def history(updates: int, *, judged_every: int = 4, slow_s: float = 2.0) -> Trai
         if number % judged_every == 0:
             lap = None if number == judged_every else 9.0 - number / updates
             made.add_evaluation(
-                evaluation(lap), time_s=slow_s * number + 0.5, took_s=0.5, best=number < updates
+                evaluation(lap),
+                made.updates[-1].number,
+                time_s=slow_s * number + 0.5,
+                took_s=0.5,
+                best=number < updates,
             )
     return made
 
@@ -93,6 +97,10 @@ def self_play(updates: int, *, update_s: float = 8.0) -> TrainingHistory:
         made.add_update(row, episodes(0.2 + 0.7 * stage), update_s * number)
         if not taught and number % 16 == 0:
             made.add_evaluation(
-                evaluation(9.0 - stage), time_s=update_s * number + 3.0, took_s=0.0, best=True
+                evaluation(9.0 - stage),
+                made.updates[-1].number,
+                time_s=update_s * number + 3.0,
+                took_s=0.0,
+                best=True,
             )
     return made

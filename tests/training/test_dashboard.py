@@ -34,7 +34,7 @@ def drawn(made: TrainingHistory, width: int = 100) -> list[str]:
     """Return the dashboard of a run as lines of text."""
     console = terminal(width, real=False)
     shown = Dashboard(TrainConfig(), 60.0, None, "rookie", plain=True, console=console)
-    shown.update(made, update(made.number))
+    shown.update(made, update(made.updates[-1].number))
     console.print(shown)
     return output(console).splitlines()[1:]
 
@@ -99,7 +99,9 @@ def test_where_nothing_can_be_drawn_lines_are_printed(monkeypatch):
         now[0] += 2.0
         made.add_update(update(number), episodes(0.5), 2.0 * number)
         shown.update(made, update(number))
-    made.add_evaluation(evaluation(7.5), time_s=18.5, took_s=0.5, best=True)
+    made.add_evaluation(
+        evaluation(7.5), made.updates[-1].number, time_s=18.5, took_s=0.5, best=True
+    )
     shown.evaluated(made, evaluation(7.5))
     shown.close()
     text = output(console).splitlines()

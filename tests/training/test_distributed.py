@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -72,7 +72,7 @@ def digest(made: Learner) -> str:
         for value in saved[part].values():
             found.update(value.contiguous().numpy().tobytes())
     found.update(repr(saved["optimizer_state_dict"]).encode())
-    found.update(repr(made._normalization.state()).encode())
+    found.update(repr(asdict(made._normalization.seen)).encode())
     return found.hexdigest()
 
 
@@ -97,7 +97,7 @@ def rank(folder: Path) -> dict[str, object]:
             found["places at the save point"] = places(made)
             made.save(folder / f"state{distributed.number()}.pt", {})
     found["rate"], found["samples"] = told.learning_rate, told.samples
-    found["learnt"], found["scale"] = digest(made), made._normalization.state()
+    found["learnt"], found["scale"] = digest(made), asdict(made._normalization.seen)
     found["counted"] = int(made._alg.critic.obs_normalizer.count)  # pyright: ignore
     later = learner()
     later.restore(folder / "state0.pt")

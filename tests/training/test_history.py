@@ -19,7 +19,13 @@ def filled(path: Path | None = None, updates: int = 4) -> TrainingHistory:
         made.add_update(update(number), episodes(0.1 * number), 2.0 * number)
         if number % 2 == 0:
             best = number == 2
-            made.add_evaluation(evaluation(7.5), time_s=2.0 * number + 0.5, took_s=0.5, best=best)
+            made.add_evaluation(
+                evaluation(7.5),
+                made.updates[-1].number,
+                time_s=2.0 * number + 0.5,
+                took_s=0.5,
+                best=best,
+            )
     return made
 
 
@@ -42,19 +48,19 @@ def test_an_evaluation_belongs_to_the_last_update():
 
 def test_an_evaluation_that_comes_later_belongs_to_the_update_it_judged():
     made = filled()
-    row = made.add_evaluation(evaluation(7.0), time_s=9.0, took_s=0.0, best=True, number=3)
+    row = made.add_evaluation(evaluation(7.0), 3, time_s=9.0, took_s=0.0, best=True)
     assert (row.number, row.samples) == (3, 300)
 
 
 def test_an_evaluation_without_a_lap_has_no_lap_times():
-    row = filled().add_evaluation(evaluation(None), time_s=9.0, took_s=0.5, best=False)
+    row = filled().add_evaluation(evaluation(None), 4, time_s=9.0, took_s=0.5, best=False)
     assert (row.best_lap_s, row.last_lap_s, row.mean_lap_s) == (None, None, None)
 
 
 def test_the_best_is_the_last_that_was_the_best_so_far():
     made = filled()
     assert made.best is made.evaluations[0]
-    made.add_evaluation(evaluation(7.0), time_s=9.0, took_s=0.5, best=True)
+    made.add_evaluation(evaluation(7.0), made.updates[-1].number, time_s=9.0, took_s=0.5, best=True)
     assert made.best is made.evaluations[2]
     assert TrainingHistory().best is None
 
@@ -81,7 +87,7 @@ def test_a_resumed_run_goes_on_after_the_update_it_was_saved_at(tmp_path):
     made = TrainingHistory.resumed(path, 2)
     assert [row.number for row in made.updates] == [1, 2]
     assert [row.number for row in made.evaluations] == [2]
-    assert (made.number, made.samples, made.time_s) == (2, 200, 4.5)
+    assert (made.updates[-1].number, made.samples, made.time_s) == (2, 200, 4.5)
     made.add_update(update(3), episodes(0.9), 7.0)
     made.close()
     rows = history.read(path)
@@ -150,15 +156,3 @@ def test_a_new_run_begins_with_an_empty_file(tmp_path):
     filled(path).close()
     TrainingHistory(path).close()
     assert history.read(path) == []
-
-
-def test_a_teachers_updates_are_known_in_the_files_of_older_versions(tmp_path):
-    made = filled()
-    made.updates[0].log[history.TEACHING] = 1.0
-    TrainingHistory(tmp_path / "history.jsonl", made.updates).close()
-    text = (tmp_path / "history.jsonl").read_text()
-    (tmp_path / "history.jsonl").write_text(text.replace("/teacher/learning", "/tutor/learning"))
-    assert history.read(tmp_path / "history.jsonl") == made.updates
-    assert not made.teacher_learns
-    made.updates[-1].log[history.TEACHING] = 1.0
-    assert made.teacher_learns

@@ -171,7 +171,9 @@ def test_the_live_view_serves_this_machine_alone_and_lets_go_of_the_worlds():
             env.step(torch.zeros(2, 2))
             run.add_update(update(number), episodes(0.5), 2.0)
             view.update(run, update(number))
-        run.add_evaluation(evaluation(7.0), time_s=3.0, took_s=0.5, best=True)
+        run.add_evaluation(
+            evaluation(7.0), run.updates[-1].number, time_s=3.0, took_s=0.5, best=True
+        )
         view.evaluated(run, evaluation(7.0))
         assert env.watch is not None
     finally:

@@ -9,6 +9,8 @@ from tensordict import TensorDict
 
 from league.agents.network import NetworkConfig
 from league.envs.actions import ContinuousActions, DiscreteActions
+from league.sim.config import SensorConfig
+from league.training.config import TrainConfig
 from league.training.ppo.models import BoundedGaussian, ByteCNNModel, Categorical, actor_settings
 
 SCORES = torch.log(torch.tensor([[0.5, 0.25, 0.25], [0.8, 0.1, 0.1]]))
@@ -94,7 +96,8 @@ def test_means_beyond_the_range_of_actions_are_pulled_back_and_others_are_not():
     ids=["continuous", "discrete"],
 )
 def test_an_untaught_actor_asks_for_much_the_same_whatever_it_sees(space):
-    settings = actor_settings(NetworkConfig(), space, False, 0.4, 0.1)
+    cfg = TrainConfig(sensors=SensorConfig(), network=NetworkConfig(), action_space=space)
+    settings = actor_settings(cfg)
     settings.pop("class_name")
     told = TensorDict({"motion": 3.0 * torch.randn(64, 4)}, batch_size=64)
     actor = MLPModel(told, {"actor": ["motion"]}, "actor", space.size, **settings)

@@ -61,11 +61,11 @@ def test_a_return_ends_with_its_episode():
 def test_what_is_remembered_can_be_taken_out_and_put_back():
     one, other = RewardNormalization(2, 0.9), RewardNormalization(2, 0.9)
     one.normalize(torch.tensor([0.5, 2.0]), GOING)
-    other.restore(one.state())
+    other.restore(one.seen)
     one.restart()
     rewards = torch.tensor([1.0, -1.0])
     assert torch.equal(one.normalize(rewards, GOING), other.normalize(rewards, GOING))
-    assert one.state() == other.state()
+    assert one.seen == other.seen
 
 
 def test_moments_of_two_sets_are_those_of_all_their_numbers():

@@ -284,7 +284,6 @@ def test_parent_of_another_shape_is_refused(tmp_path):
 
 def test_card_says_how_many_of_twenty_runs_are_clean(tmp_path, monkeypatch):
     monkeypatch.setattr(evaluator, "evaluate_policy", passed)
-    monkeypatch.setattr(run_room, "evaluate_policy", passed)
     callback = small.CallbackRecorder()
     small.run(tmp_path, small.cfg(updates=2)).learn([callback])
     assert checkpoint.load(tmp_path / "best.pt").card.results["clean_share"] == 1.0
@@ -292,7 +291,6 @@ def test_card_says_how_many_of_twenty_runs_are_clean(tmp_path, monkeypatch):
 
 def test_run_that_stops_at_the_first_laps_is_over_without_twenty_more(tmp_path, monkeypatch):
     monkeypatch.setattr(evaluator, "evaluate_policy", passed)
-    monkeypatch.setattr(run_room, "evaluate_policy", passed)
     outcome = small.run(tmp_path, small.cfg(updates=9, stop_when_complete=1)).learn()
     assert outcome.why == "every lap was complete"
     assert "clean_share" not in checkpoint.load(tmp_path / "best.pt").card.results

@@ -67,7 +67,7 @@ def test_finished_run_learns_nothing_more(tmp_path):
 def test_run_killed_while_its_last_policy_is_judged_ends_as_if_it_had_not_been(tmp_path):
     class Impatient(small.CallbackRecorder):
         def evaluated(self, history, evaluation) -> None:
-            if history.number == 4:
+            if history.updates[-1].number == 4:
                 raise KeyboardInterrupt
 
     small.run(tmp_path / "whole", small.cfg(updates=4)).learn()

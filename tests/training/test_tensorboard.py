@@ -27,7 +27,7 @@ def run(folder: Path, numbers: range, *, loss: float = 0.25) -> None:
     for number in numbers:
         made.add_update(update(number, loss=loss), episodes(0.5), 2.0 * number)
         sink.update(made, update(number, loss=loss))
-    made.add_evaluation(evaluation(7.5), time_s=9.0, took_s=0.5, best=True)
+    made.add_evaluation(evaluation(7.5), made.updates[-1].number, time_s=9.0, took_s=0.5, best=True)
     sink.evaluated(made, evaluation(7.5))
     sink.close()
 

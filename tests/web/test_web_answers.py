@@ -20,7 +20,7 @@ from league.matchmaking.scores import heat_scores, race_scores
 from league.matchmaking.store import Store
 from league.web import answers, reader
 from league.web.app import make_app
-from league.web.pages import home
+from league.web.pages import heats
 from league.web.reader import Reader
 from league.web.routes import Page
 from tests.matchmaking import leagues
@@ -66,7 +66,7 @@ def test_scores_of_heats_are_the_sums_of_their_races(league):
         for one in race_scores(rated, row.number):
             points, expected = by_heat.get(one.heat, [0.0, 0.0])
             by_heat[one.heat] = [points + one.points, expected + one.expected]
-        heats, points, expected = heat_scores(rated, row.number)
+        heats, points, expected = heat_scores(rated.own_races(row.number))
         assert heats.tolist() == sorted(by_heat)
         sums = np.array([by_heat[heat] for heat in heats.tolist()]).T
         assert points == pytest.approx(sums[0]) and expected == pytest.approx(sums[1])
@@ -78,10 +78,10 @@ def test_scores_of_heats_are_the_sums_of_their_races(league):
 def test_each_moment_of_a_history_is_the_likeliest_rating_by_the_races_until_then(league):
     rated = standings.of(league)
     for row in rated.rows:
-        own = standings.own_races(rated.races, rated.ratings, row.number)
+        own = rated.own_races(row.number)
         needed = own.strengths - rated.ratings.slot_advantages[own.slot]
         middle, spread = float(rated.ratings.elo.mean()), rated.ratings.prior_sd
-        for moment in history.own_history(rated, row.number, points=6)[:-1]:
+        for moment in history.own_history(rated, own, points=6)[:-1]:
             met = own.met[: moment.races]
             chance = expected_score(moment.elo - needed[: moment.races][met])
             # The slope of the log-posterior is 0 there, but for a step of a hundredth of an Elo.
@@ -100,14 +100,14 @@ def test_the_most_contested_race_is_found_reading_each_result_once(league, monke
 
     monkeypatch.setattr(Store, "results", noted)
     pages = Reader(league)
-    first = home._most_contested(pages)
+    first = heats._most_contested(pages)
     known = set(asked)
     asked.clear()
-    assert home._most_contested(pages) == first and not asked
+    assert heats._most_contested(pages) == first and not asked
     raced(league, leagues.duels(league, 2, first=500))
-    later = home._most_contested(pages)
+    later = heats._most_contested(pages)
     assert len(asked) == 2 and not known & set(asked)
-    assert later == home._most_contested(Reader(league))
+    assert later == heats._most_contested(Reader(league))
 
 
 def test_who_raced_the_newest_heats_is_read_without_the_heats(league):
@@ -173,3 +173,23 @@ def test_renewals_wait_for_what_is_not_kept_yet(league, monkeypatch):
         while made[2:] != ["/heats"]:
             assert time.monotonic() < give_up, made
             time.sleep(0.01)
+
+
+def test_what_is_read_at_once_is_of_one_moment(league):
+    with league.at_once():
+        before, entry = league.counts(), league.entry("e1").number
+        states = league.heat_states(entry)
+        raced(league, leagues.duels(league, 1, first=500))
+        assert league.counts() == before and league.heat_states(entry) == states
+    assert league.counts()["done"] == before["done"] + 1
+    assert list(states.values()).count("done") == league.num_done(entry)
+
+
+def test_new_races_wait_while_first_answers_are_made(league, monkeypatch):
+    pages = Reader(league)
+    before = pages.snapshot()
+    raced(league, leagues.duels(league, 1, first=500))
+    pages._is_slow, pages._due_s, pages.num_making = True, time.monotonic(), reader.MANY
+    assert pages.snapshot() is before
+    monkeypatch.setattr(reader, "PATIENCE_S", 0.0)
+    assert len(pages.snapshot().races.heat) > len(before.races.heat)

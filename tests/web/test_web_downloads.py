@@ -14,7 +14,7 @@ from starlette.types import ASGIApp
 
 from league.replay import format
 from league.sim.camera.renderer import PaintRenderer
-from league.video import strip
+from league.video import stills
 from league.web import downloads, reader
 from league.web.app import make_app
 from league.web.reader import BusyError, Reader
@@ -32,12 +32,12 @@ def test_a_film_strip_shows_what_the_car_saw_at_its_moments(client, store, heat)
     answer = client.get(f"{heat}/races/1/cars/2/camera.jpg")
     assert answer.headers["content-type"] == "image/jpeg"
     sheet = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
-    height, width = strip.CAMERA.height, strip.CAMERA.width
+    height, width = stills.STRIP_CAMERA.height, stills.STRIP_CAMERA.width
     assert sheet.shape == (2 * height, 4 * width, 3)
     replay = format.decode(store.blobs.get(store.results(rated_heat(store))[0].replay))
     car = next(car for car in replay.result.order if car.car == 1)
-    times_s = strip.moments(car.total_s if car.finished else np.inf, replay.result.race_s)
-    sixth = PaintRenderer(replay.tracks, replay.sim, strip.CAMERA).render(
+    times_s = stills.strip_moments(car.total_s if car.finished else np.inf, replay.result.race_s)
+    sixth = PaintRenderer(replay.tracks, replay.sim, stills.STRIP_CAMERA).render(
         replay.at(np.array(times_s[5:6])), 1
     )[0]
     cell = sheet[height:, width : 2 * width].transpose(2, 0, 1)
@@ -47,8 +47,8 @@ def test_a_film_strip_shows_what_the_car_saw_at_its_moments(client, store, heat)
 
 
 def test_moments_of_a_strip_end_with_the_cars_own_race():
-    assert strip.moments(8.0, 20.0) == [0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5]
-    assert strip.moments(np.inf, 16.0)[-1] == 15.0
+    assert stills.strip_moments(8.0, 20.0) == [0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5]
+    assert stills.strip_moments(np.inf, 16.0)[-1] == 15.0
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from league.matchmaking.scores import race_scores
 from league.matchmaking.store import LeagueEntry
 from league.web import snapshot
 from league.web.pages import driver
-from league.web.pages.tracks import medal, medal_times
+from league.web.pages.laps import medal, medal_times
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 
 from league.race_spec import CarResult, Entry, Event, RaceResult, RaceSpec
 from league.racing import race
-from league.web.pages import heat
+from league.web.pages import heats
 from tests.web.small_league import rated_heat
 
 COUNTED = {"off": "off_tracks", "stuck": "immobilised", "backwards": "reversed"}
@@ -31,7 +31,7 @@ def result_with(*events: Event) -> RaceResult:
 
 
 def test_a_fault_belongs_to_the_lap_that_its_car_was_on():
-    first, second = heat.faults_by_lap(
+    first, second = heats.faults_by_lap(
         result_with(
             Event(time_s=3.0, kind="off_track", car=0, value=2.0),
             Event(time_s=10.0, kind="lap", car=0, value=10.0),
@@ -53,7 +53,7 @@ def test_a_fault_belongs_to_the_lap_that_its_car_was_on():
 
 
 def test_faults_of_one_step_share_its_penalty():
-    (lap, _), _ = heat.faults_by_lap(
+    (lap, _), _ = heats.faults_by_lap(
         result_with(
             Event(time_s=3.0, kind="off_track", car=0, value=2.0),
             Event(time_s=3.0, kind="reversed", car=0, value=2.0),
@@ -75,7 +75,7 @@ def test_the_faults_of_all_laps_are_those_of_the_classification(seed):
     result = race.run(spec, record=False).result
     assert sum(row.penalty_s for row in result.order) > 0
     for row in result.order:
-        laps = heat.faults_by_lap(result)[row.car]
+        laps = heats.faults_by_lap(result)[row.car]
         assert sum(lap.penalty_s for lap in laps) == pytest.approx(row.penalty_s, abs=0.01)
         for word, name in COUNTED.items():
             assert sum(lap.counts.get(word, 0) for lap in laps) == getattr(row, name)

@@ -12,10 +12,9 @@ from league.matchmaking import standings
 from league.matchmaking.scores import clean_laps
 from league.race_spec import Entry, RaceSpec
 from league.racing import race
-from league.web import race_charts
+from league.web import charts, replay_data
 from league.web.app import make_app
-from league.web.pages import ghosts
-from league.web.pages import heat as heats
+from league.web.pages import heats
 from league.web.reader import NotFoundError
 from tests.web.small_league import NAME, ORIGIN, RULES, lapped_heat, new_league
 
@@ -68,8 +67,8 @@ def test_a_later_lap_begins_at_the_line_and_the_first_with_the_signal():
     entries = (Entry(name="racing_line"), Entry(name="cautious"))
     replay = race.run(RaceSpec(entries=entries, laps=2, solver="planar", seed=3)).replay
     car = 1  # the second on the grid
-    laps = [race_charts.lap_of(replay, car, number) for number in (1, 2)]
-    drawn = ghosts.player_data(laps, replay.track)["cars"]
+    laps = [charts.lap_of(replay, car, number) for number in (1, 2)]
+    drawn = replay_data.ghosts_data(laps, replay.track)["cars"]
     first, second = (summed(one["distance"], 2) for one in drawn)
     assert first[0] < -0.05  # the grid is behind the line
     assert abs(second[0]) < 0.02
@@ -78,7 +77,7 @@ def test_a_later_lap_begins_at_the_line_and_the_first_with_the_signal():
     assert np.hypot(x - start[0], y - start[1]) < replay.track.width / 2 + 0.05
     times_s = next(row for row in replay.result.order if row.car == car).lap_times_s
     for one, lap_s in zip(drawn, times_s, strict=False):
-        assert one["lap_frames"][0] / ghosts.STEP_HZ == pytest.approx(lap_s, abs=0.08)
+        assert one["lap_frames"][0] / replay_data.STEP_HZ == pytest.approx(lap_s, abs=0.08)
 
 
 def test_a_chosen_lap_meets_the_fastest_one_and_stays_chosen(client, store):

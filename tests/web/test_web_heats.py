@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from league.replay import format
-from league.web import race_charts
+from league.web import charts
 from tests.web.small_league import NAME, lapped_heat, rated_heat
 
 
@@ -32,7 +32,7 @@ def test_positions_after_each_lap_are_by_time():
         {"car": 0, "lap_times_s": (4.0, 6.0, 6.0)},
         {"car": 2, "lap_times_s": (6.0,)},
     ]
-    chart = race_charts.position_chart(order, ["a", "b", "c"])
+    chart = charts.position_chart(order, ["a", "b", "c"])
     # After lap 1: 4, 5 and 6 s. After lap 2: 10 and 9 s; c never got there.
     values = [chart_values(line, chart) for line in chart.lines]
     assert values[0] == pytest.approx([1, 1, 2, 2], abs=0.02)
@@ -42,15 +42,15 @@ def test_positions_after_each_lap_are_by_time():
 
 def test_laps_compared_are_each_cars_best_or_the_same_lap(store):
     replay = recorded(store, lapped_heat(store))
-    best = race_charts.of(replay, None)
+    best = charts.compared_laps(replay, None)
     finishers = {row.car + 1 for row in replay.result.order if row.lap_times_s}
     assert best.laps == dict.fromkeys(sorted(finishers), 1)
-    assert race_charts.of(replay, 2) is None  # the races of this league have one lap
+    assert charts.compared_laps(replay, 2) is None  # the races of this league have one lap
 
 
 def test_speed_and_lost_time_along_the_lap_agree_with_the_recording(store):
     replay = recorded(store, lapped_heat(store))
-    compared = race_charts.of(replay, None)
+    compared = charts.compared_laps(replay, None)
     row = min(replay.result.order, key=lambda row: min(row.lap_times_s, default=np.inf))
     speeds = chart_values(
         next(line for line in compared.speed.lines if line.kind == f"car-{row.car + 1}"),

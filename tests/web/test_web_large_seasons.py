@@ -8,7 +8,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from benchmarks import frozen
-from league.web import paging
+from league.web import reader
 from league.web.app import make_app
 from tests.matchmaking import leagues
 from tests.web.small_league import ORIGIN
@@ -84,7 +84,7 @@ def test_each_heat_of_a_large_cup_is_on_one_page(client):
 
 def test_each_qualifier_of_a_large_cup_is_on_one_page(client):
     found = []
-    for page in range(1, 2 + (ENTRANTS - 1) // paging.PER_PAGE):
+    for page in range(1, 2 + (ENTRANTS - 1) // reader.PER_PAGE):
         qualifying = client.get(f"/api/v1/cups/1?page={page}").json()["qualifying"]
         found += [heat["runs"][0]["entry"] for heat in qualifying["heats"]]
     assert found == list(range(1, ENTRANTS + 1))

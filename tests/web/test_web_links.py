@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from league.web import paging
+from league.web import reader
 from tests.web.small_league import NAME, OWNER, rated_heat
 
 ABOUT = {
@@ -75,7 +75,7 @@ def test_heats_of_a_driver_show_its_place_in_each_race(client, store):
 
 
 def test_heats_come_in_pages(client, store, monkeypatch):
-    monkeypatch.setattr(paging, "PER_PAGE", 5)
+    monkeypatch.setattr(reader, "PER_PAGE", 5)
     done = [one.number for one in store.heats(("done",))][::-1]
     pages, found = -(-len(done) // 5), []
     for page in range(1, pages + 1):
@@ -89,5 +89,5 @@ def test_heats_come_in_pages(client, store, monkeypatch):
 
 
 def test_the_feed_has_the_newest_heats_whatever_a_page_holds(client, store, monkeypatch):
-    monkeypatch.setattr(paging, "PER_PAGE", 1)
+    monkeypatch.setattr(reader, "PER_PAGE", 1)
     assert f"heats/{rated_heat(store)}" in client.get("/feed.atom").text

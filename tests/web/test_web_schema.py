@@ -19,9 +19,9 @@ from schemathesis.specs.openapi.checks import (
 from starlette.testclient import TestClient
 
 from league.web.app import make_app
-from league.web.openapi import PROTECTED
 from league.web.routes import PAGES
 from league.web.security import Access
+from league.web.token_api import ADDRESSES
 from tests.matchmaking.season_kit import submitted
 from tests.web.serving import FREE
 from tests.web.small_league import ORIGIN, lapped_heat, raced_league, seasoned_league
@@ -94,7 +94,7 @@ def test_real_answers_have_the_fields_that_are_described_and_no_others(seasoned)
     document = seasoned.get("/api/v1/openapi.json").json()
     asked = {f"/api/v1/{path}": some for path, some in addresses(seasoned).items()}
     assert set(asked) == {path for path, item in document["paths"].items() if "get" in item} - {
-        one.path for one in PROTECTED
+        one.path for one in ADDRESSES
     }
     for path, some in asked.items():
         content = document["paths"][path]["get"]["responses"]["200"]["content"]
@@ -162,7 +162,7 @@ def test_requests_made_from_the_openapi_document_find_no_internal_error(tmp_path
         secret, _ = store.tokens.create("ann", ("admin",))
         schema = schemathesis.openapi.from_asgi("/api/v1/openapi.json", app)
         operations = [found.ok() for found in schema.get_all_operations()]
-        assert len(operations) == len(PROTECTED) + sum(page.has_api for page in PAGES)
+        assert len(operations) == len(ADDRESSES) + sum(page.has_api for page in PAGES)
         asked = dict.fromkeys((operation.label for operation in operations), 0)
         for operation in operations:
             for headers in ({"Authorization": f"Bearer {secret}"}, {}):

@@ -16,7 +16,7 @@ from league.matchmaking import history, standings
 from league.matchmaking.history import own_history
 from league.matchmaking.scope import scope
 from league.matchmaking.store import Store
-from league.web import answers, paging, reader
+from league.web import answers, reader
 from league.web.app import make_app
 from league.web.pages import table
 from league.web.routes import Page
@@ -81,7 +81,7 @@ def test_lines_are_sorted_without_javascript(pages):
 
 
 def test_pages_hold_everyone_once(pages, monkeypatch):
-    monkeypatch.setattr(paging, "PER_PAGE", 3)
+    monkeypatch.setattr(reader, "PER_PAGE", 3)
     whole = [row["number"] for number in "123" for row in rows(pages, page=number)]
     assert len(whole) == len(set(whole)) == ENTRIES
     middle = pages.get("/standings?page=2&kind=policy").text
@@ -105,7 +105,7 @@ def test_names_are_typed_where_a_list_would_be_long(pages, monkeypatch):
 def test_everyones_record_is_the_rivals_turned(league):
     rated = standings.of(league)
     for one in rated.rows:
-        met = standings.meetings(rated, one.number)
+        met = standings.meetings(rated, rated.own_races(one.number))
         for other, record in met.items():
             back = standings.head_to_head(rated, other, one.number)
             assert dataclasses.astuple(back) == pytest.approx(dataclasses.astuple(record.turned))
@@ -115,7 +115,7 @@ def test_everyones_record_is_the_rivals_turned(league):
 def test_the_history_against_ratings_of_today_ends_as_they_are(league):
     rated = standings.of(league)
     top = rated.rows[0]
-    moments = own_history(rated, top.number, points=5)
+    moments = own_history(rated, rated.own_races(top.number), points=5)
     assert (moments[-1].elo, moments[-1].low95) == (top.elo, top.low95)
     assert [moment.races for moment in moments] == sorted({moment.races for moment in moments})
     assert moments[-1].races == top.races
@@ -151,7 +151,7 @@ def test_a_snapshot_reads_only_what_is_new(league, monkeypatch):
 
 
 def test_only_the_lines_of_a_page_have_marks(pages, monkeypatch):
-    monkeypatch.setattr(paging, "PER_PAGE", 3)
+    monkeypatch.setattr(reader, "PER_PAGE", 3)
     document = pages.get("/api/v1/standings?page=2").json()
     assert list(document["marks"]) == [str(row["number"]) for row in document["rows"]]
     assert len(document["rows"]) == 3

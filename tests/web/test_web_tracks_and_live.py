@@ -16,7 +16,7 @@ from league.racing_line.racing_line import lap_bound
 from league.replay import format
 from league.sim.config import CarConfig
 from league.track import files
-from league.web import race_charts
+from league.web import charts
 from league.web.app import make_app
 from tests.web.small_league import ORIGIN, RULES, lapped_heat, new_league
 
@@ -45,8 +45,8 @@ def test_medals_are_by_the_lap_bound_of_the_track(client):
 def test_a_speed_map_has_the_whole_lap_and_its_slowest_and_fastest_part(store):
     number = lapped_heat(store)
     replay = format.decode(store.blobs.get(store.results(number)[0].replay))
-    lap = race_charts.lap_of(replay, replay.result.order[0].car, 1)
-    shown = race_charts.speed_map(lap)
+    lap = charts.lap_of(replay, replay.result.order[0].car, 1)
+    shown = charts.speed_map(lap)
     assert sum(line.path.count("M") for line in shown.lines) == len(lap.points) - 1
     middle = (lap.speed[1:] + lap.speed[:-1]) / 2
     assert (shown.low, shown.high) == (middle.min(), middle.max())
@@ -59,7 +59,7 @@ def test_a_speed_map_has_the_whole_lap_and_its_slowest_and_fastest_part(store):
 def test_a_lap_begins_at_the_start_line_and_ends_there(store):
     replay = format.decode(store.blobs.get(store.results(lapped_heat(store))[0].replay))
     car = replay.result.order[0]
-    lap = race_charts.lap_of(replay, car.car, 1)
+    lap = charts.lap_of(replay, car.car, 1)
     assert lap.place[-1] == pytest.approx(replay.track.length, abs=0.4)
     assert lap.time_s[-1] == pytest.approx(car.lap_times_s[0], abs=1 / replay.step_hz)
 
@@ -138,10 +138,10 @@ def test_a_duel_is_shown_with_its_score(client, store):
 
 def test_the_pace_is_of_the_last_five_minutes(client, store, monkeypatch):
     done = [heat.done_s for heat in store.heats(("done",))]
-    monkeypatch.setattr("league.web.pages.home.time.time", lambda: max(done) + 1.0)
+    monkeypatch.setattr("league.web.pages.heats.time.time", lambda: max(done) + 1.0)
     recent = sum(max(done) + 1.0 - one < 300 for one in done)
     assert client.get("/api/v1/live").json()["per_minute"] == pytest.approx(recent / 5)
-    monkeypatch.setattr("league.web.pages.home.time.time", lambda: max(done) + 301.0)
+    monkeypatch.setattr("league.web.pages.heats.time.time", lambda: max(done) + 301.0)
     later = client.get("/api/v1/live").json()
     assert later["per_minute"] == 0 and later["wait_minutes"] is None
 

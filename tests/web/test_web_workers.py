@@ -263,9 +263,9 @@ def test_a_lease_ends_with_its_worker(store, served):
 
 
 def test_a_token_holds_so_many_heats_at_a_time(store, served, monkeypatch):
-    from league.web import worker_api
+    from league.web import token_api
 
-    monkeypatch.setattr(worker_api, "MOST_HELD", 3)
+    monkeypatch.setattr(token_api, "MOST_HELD", 3)
     headers = bearer(store)
     assert len(claimed(served, headers, limit=2)["heats"]) == 2
     assert len(claimed(served, headers, limit=2, worker="v")["heats"]) == 1

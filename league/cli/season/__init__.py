@@ -7,7 +7,7 @@ import os
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from league.errors import ConfigError, brief
 
@@ -70,22 +70,14 @@ class Reading(OnLeague):
 
 
 def at_least(command: DataclassInstance, name: str, least: int) -> None:
-    """Refuse a field that is smaller than what makes sense.
-
-    Raises:
-        ConfigError: it is.
-    """
+    """Refuse a field that is smaller than what makes sense."""
     value = getattr(command, name)
     if value is not None and value < least:
         raise ConfigError(f"--{name.replace('_', '-')} {value}: give {least} or more")
 
 
 def share(text: str, flag: str) -> float:
-    """Return the share that a flag gives in percent.
-
-    Raises:
-        ConfigError: it is no share.
-    """
+    """Return the share that a flag gives in percent; refuse what is none."""
     try:
         number = float(text.strip().removesuffix("%")) / 100
     except ValueError:
@@ -96,11 +88,13 @@ def share(text: str, flag: str) -> float:
 
 
 @contextmanager
-def local_workers(num_workers: int) -> Generator[Executor]:
-    """Start worker processes, one for each core if 0 were asked for, and end them afterwards."""
+def local_workers(
+    num_workers: int, kind: Literal["processes", "ray"] = "processes"
+) -> Generator[Executor]:
+    """Start workers, one for each core if 0 were asked for, and end them afterwards."""
     from league.matchmaking import workers
 
-    executor = workers.make_executor("processes", num_workers or os.cpu_count() or 1)
+    executor = workers.make_executor(kind, num_workers or os.cpu_count() or 1)
     try:
         yield executor
     finally:

@@ -1,12 +1,13 @@
-"""`league init`, `submit`, `entries`, `retire`: make a league, list and change its entries."""
+"""`league init`, `submit`, `entries`, `retire`, `token`: a league, its entries and their owners."""
 
 from __future__ import annotations
 
 import json
 import sys
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -21,8 +22,8 @@ if TYPE_CHECKING:
 ANCHORS = ("centerline", "racing_line", "cautious", "blocker")
 """Scripted drivers that a new league begins with; the first one is 1000."""
 
-SAID = ("name", "owner", "id", "state", "near_copy_of", "page")
-"""Texts that a served league says of an entry."""
+SAID = ("name", "owner", "id", "state", "near_copy_of")
+"""Texts that are said of an entry, by a served league, too."""
 
 GIVEN = (
     "laps", "cars", "solver", "sensors", "max_time_s", "variation", "rules", "obstacles", "format",
@@ -65,7 +66,6 @@ class Init(OnLeague):
     """Directory or bucket (s3://...) for weights and recordings; by default the database."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking.pairing import matchmaker
         from league.matchmaking.store import create
 
@@ -94,27 +94,22 @@ class Submit(OnServer):
     """Let everyone download the weights from the driver's page."""
 
     def run(self) -> None:
-        """Run the command."""
         name = self.name or Path(self.driver).stem
         entered = self._sent(name) if self.to else self._entered(name)
-        if entered.name != name:
-            print(
-                f"These weights are entered already, as {entered.name}; {name} is not a new entry."
-            )
-        print(f"{entered.name} by {entered.owner}: entry {entered.id[:12]}, {entered.state}")
-        if entered.near_copy_of:
-            print(
-                f"Its weights are nearly those of {entered.near_copy_of}: it is labelled a "
-                "near-copy."
-            )
-        if self.download and not entered.downloadable:
+        known, owner, id, state, model = (entered[key] for key in SAID)
+        if known != name:
+            print(f"These weights are entered already, as {known}; {name} is not a new entry.")
+        print(f"{known} by {owner}: entry {id[:12]}, {state}")
+        if model:
+            print(f"Its weights are nearly those of {model}: it is labelled a near-copy.")
+        if self.download and entered["downloadable"] is not True:
             print("It cannot be downloaded: only a policy can, from its first submission on.")
-        if entered.state == "pending":
-            follow = entered.page or "`league run`, then `league entries`"
+        if state == "pending":
+            follow = entered.get("page") or "`league run`, then `league entries`"
             print(f"It races itself and an anchor first: {follow}.")
 
-    def _entered(self, name: str) -> _Entered:
-        """Enter the driver here."""
+    def _entered(self, name: str) -> dict[str, Any]:
+        """Enter the driver here, and return what became of it."""
         import getpass
 
         from league.agents import roster
@@ -127,33 +122,17 @@ class Submit(OnServer):
                 entry = submission.submit(store, path, name, owner, download=self.download)
             else:
                 entry = store.submit(name, owner, scripted=self.driver, card={"name": name})
-        given = (entry.name, entry.owner, entry.id, entry.state, entry.near_copy_of)
-        return _Entered(*given, downloadable=entry.downloadable)
+        return {key: getattr(entry, key) for key in (*SAID, "downloadable")}
 
-    def _sent(self, name: str) -> _Entered:
-        """Send the driver to a served league."""
+    def _sent(self, name: str) -> dict[str, Any]:
+        """Send the driver to a served league, and return what became of it."""
         client = self.client()
         if self.owner:
             raise ConfigError("--owner with --to: the token says who the owner is, leave it out")
         sent = client.submit(_packed(self.driver), name, download=self.download)
         said = {key: tables.spelled(str(sent.get(key, ""))) for key in SAID}
-        page, offered = client.url + said.pop("page"), sent.get("downloadable") is True
-        return _Entered(**said, page=page, downloadable=offered)
-
-
-@dataclass(frozen=True)
-class _Entered:
-    """What became of a submission."""
-
-    name: str
-    owner: str
-    id: str
-    state: str
-    near_copy_of: str
-    page: str = ""
-    """Where it can be followed in a browser."""
-    downloadable: bool = False
-    """Whether everyone may have the weights."""
+        page = client.url + tables.spelled(str(sent.get("page", "")))
+        return {**said, "page": page, "downloadable": sent.get("downloadable")}
 
 
 @dataclass
@@ -166,7 +145,6 @@ class Pack:
     """Where to write it; by default here, under the checkpoint's name, ending in .safetensors."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.atomic_file import replacing
         from league.errors import PolicyError
 
@@ -194,7 +172,6 @@ class Entries(Reading):
     """List the entries and their states."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking.pairing import matchmaker
 
         with self.opened() as store:
@@ -202,17 +179,11 @@ class Entries(Reading):
         if self.json:
             season.print_json(entries)
             return
-        rows = [
-            (
-                entry.name,
-                entry.owner,
-                entry.state,
-                entry.id[:8],
-                "anchor" if entry.anchor else entry.kind,
-                times.day(entry.created_s)[:10],
-            )
-            for entry in entries
-        ]
+        rows = []
+        for entry in entries:
+            kind = "anchor" if entry.anchor else entry.kind
+            submitted = times.day(entry.created_s)[:10]
+            rows.append((entry.name, entry.owner, entry.state, entry.id[:8], kind, submitted))
         heads = ("name", "owner", "state", "id", "kind", "submitted")
         tables.table("Entries", heads, rows, "submitted", "id", "owner")
         for entry in entries:
@@ -234,7 +205,6 @@ class Retire(OnServer):
     """Do not ask first."""
 
     def run(self) -> int:
-        """Run the command."""
         if self.to:
             client, asked = self.client(), {"entry": self.entry, "reason": self.reason}
             if not self.yes and not _confirmed(f"{self.entry} at {self.to}"):
@@ -264,7 +234,6 @@ class Upgrade(OnLeague):
     begin again, because results of different physics cannot be compared."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking import store
         from league.sim import PHYSICS
 
@@ -316,10 +285,9 @@ def _rules(command: Init) -> Ruleset:
         raise ConfigError(
             f"{command.cars} cars in a race: a league's races have 2 to 8, give --cars 2"
         )
-    if len(set(command.track)) < len(command.track) or len(set(command.anchors)) < len(
-        command.anchors
-    ):
-        raise ConfigError("a track or an anchor was named twice: name each once")
+    for names in (command.track, command.anchors):
+        if len(set(names)) < len(names):
+            raise ConfigError("a track or an anchor was named twice: name each once")
     tracks = []
     for name in command.track:
         track = files.load(name)
@@ -340,3 +308,76 @@ def _rules(command: Init) -> Ruleset:
         return Ruleset(**given, tracks=tuple(tracks), obstacle_kind=kind)
     except ValueError as error:
         raise ConfigError(f"these rules are not possible: {error}") from error
+
+
+@dataclass
+class Create(OnLeague):
+    """Make a token and print it, once: only its hash is kept."""
+
+    owner: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="OWNER")]
+    """The owner that it stands for: entries submitted with it are this owner's."""
+    scope: tuple[Literal["submit", "worker", "admin"], ...] = ("submit",)
+    """submit: enter and retire the owner's drivers; worker: race heats; admin: all of it, and
+    retire anybody's drivers."""
+    days: float = 365.0
+    """It ends after so many days; 0 for never."""
+
+    def run(self) -> None:
+        if not 0 <= self.days < 1e6:
+            raise ConfigError(f"--days {self.days:g}: give 0 (never) or more")
+        life_s = 86400.0 * self.days or None
+        with self.opened() as store:
+            secret, token = store.tokens.create(self.owner, self.scope, life_s=life_s)
+        print(secret)
+        ends = times.day(token.expires_s) if token.expires_s else "never"
+        print(
+            f"Token {token.number} of {token.owner}: {', '.join(token.scopes)}; ends {ends}. It is "
+            "shown only now; give it to its owner as LEAGUE_TOKEN."
+        )
+
+
+@dataclass
+class List(Reading):
+    """List all tokens, without their secrets."""
+
+    def run(self) -> None:
+        with self.opened() as store:
+            tokens = store.tokens.listed()
+        if self.json:
+            season.print_json(tokens)
+            return
+        rows, now_s = [], time.time()
+        for token in tokens:
+            scopes, state = " ".join(token.scopes), token.state(now_s)
+            ends, used = _day(token.expires_s), _day(token.used_s)
+            rows.append((token.number, token.owner, scopes, state, ends, used))
+        heads = ("number", "owner", "scopes", "state", "ends", "last used")
+        tables.table("Tokens", heads, rows, "last used", "ends")
+
+
+@dataclass
+class Revoke(OnLeague):
+    """End a token at once; entries made with it stay."""
+
+    token: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="TOKEN")]
+    """Its number, or the token itself."""
+
+    def run(self) -> None:
+        with self.opened() as store:
+            token = store.tokens.revoke(self.token)
+        print(f"Token {token.number} of {token.owner} is revoked.")
+
+
+@dataclass
+class ManageTokens:
+    """Make, list or revoke the tokens by which owners and workers are known over HTTP."""
+
+    command: (
+        Annotated[Create, tyro.conf.subcommand("create")]
+        | Annotated[List, tyro.conf.subcommand("list")]
+        | Annotated[Revoke, tyro.conf.subcommand("revoke")]
+    )
+
+
+def _day(seconds: float | None) -> str:
+    return "never" if seconds is None else times.day(seconds)[:10]

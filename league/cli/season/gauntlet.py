@@ -39,7 +39,6 @@ class Gauntlet(Reading):
     """Worker processes; 0 takes one for each core."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.agents import checkpoint, roster
         from league.matchmaking import gauntlet
 
@@ -65,7 +64,7 @@ class Gauntlet(Reading):
         if self.json:
             season.print_json(placed)
             return
-        rows = [(name, str(races), f"{points:g}") for name, races, points in placed.against]
+        rows = [(name, races, f"{points:g}") for name, races, points in placed.against]
         tables.table(f"Gauntlet of {newcomer.card.name}", ("opponent", "races", "points"), rows)
         rating = season.plus_minus(placed.elo, placed.low95, placed.high95)
         ranks = f" ({placed.best_rank} to {placed.worst_rank})" if placed.provisional else ""
@@ -99,7 +98,6 @@ class Compare(Reading):
     """Worker processes; 0 takes one for each core."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking import gauntlet
         from league.matchmaking.ratings.sprt import SequentialSettings
 
@@ -110,13 +108,8 @@ class Compare(Reading):
             one, other = (_driver(store, text) for text in (self.one, self.other))
             if one.id == other.id:
                 raise ConfigError(f"{self.one} and {self.other} are the same driver: name two")
-            settings = SequentialSettings(
-                elo0=self.elo0,
-                elo1=self.elo1,
-                alpha=self.alpha,
-                beta=self.beta,
-                slot_gap=_slot_gap(store),
-            )
+            bounds = self.elo0, self.elo1, self.alpha, self.beta
+            settings = SequentialSettings(*bounds, slot_gap=_slot_gap(store))
             with (
                 season.local_workers(self.workers) as executor,
                 tables.progress(disable=quiet) as progress,

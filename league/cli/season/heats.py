@@ -1,15 +1,15 @@
 """`league heats`, `heat`, `audit`, `retry`: what was raced, and whether it can be trusted.
 
-`league export --csv` and `--json` (see cli/drivers.py) write the races here, too.
+`league export --csv` and `--json` (see cli/inventory.py) write the races here, too.
 """
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import sys
 from collections.abc import Generator, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TextIO
@@ -23,7 +23,7 @@ from league.cli.season import OnLeague, Reading
 from league.errors import ConfigError, StoreError
 
 if TYPE_CHECKING:
-    from league.matchmaking.store import HeatRecord, Store
+    from league.matchmaking.store import Store
 
 COLUMNS: tuple[str, ...] = (
     "heat", "race", "key", "purpose", "ruleset", "track", "seed", "slot", "entry", "id", "owner",
@@ -54,7 +54,6 @@ class Heats(Reading):
     """How many, the newest."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking import documents
 
         season.at_least(self, "limit", 1)
@@ -71,7 +70,7 @@ class Heats(Reading):
             half = record.heat.halves[0]
             grid = " - ".join(names[id] for id in half.grid)
             what = record.heat.purpose, record.state, half.track
-            rows.append((str(record.number), grid, *what, times.day(record.done_s)[5:]))
+            rows.append((record.number, grid, *what, times.day(record.done_s)[5:]))
         heads = ("heat", "grid", "purpose", "state", "track", "done")
         tables.table("Heats", heads, rows, "done", "track")
 
@@ -84,9 +83,50 @@ class ShowHeat(Reading):
     """Its number, or the beginning of its key."""
 
     def run(self) -> None:
-        """Run the command."""
+        from league.matchmaking import documents
+
         with self.opened() as store:
-            _show(store, store.heat(self.heat), self.json)
+            record = store.heat(self.heat)
+            names = documents.names_of(store.entries())
+            results = store.results(record.number)
+            audited = store.heat(record.heat.audits).number if record.heat.audits else 0
+        if self.json:
+            season.print_json({**documents.heat_document(record, names), "results": results})
+            return
+        print(
+            f"Heat {record.number} ({record.heat.purpose}), {record.state}, key {record.heat.key}"
+        )
+        if record.worker:
+            print(f"raced by {record.worker}, try {record.attempts}")
+        disputed = len(results) > len(record.heat.halves)
+        for result in results:
+            half = record.heat.halves[result.half]
+            title = f"Race {result.half + 1} on {half.track}"
+            if record.seeds:
+                title += f", seed {record.seeds[result.half]}"
+            verdict = ", REJECTED" if result.rejected else ""
+            on = f" on {tables.spelled(result.machine)}" if result.machine else ""
+            if disputed or on:
+                print(f"Result {result.hash[:12]} by {result.worker}{on}{verdict}:")
+            rows = []
+            for car in result.result["order"]:
+                slot = car["car"]
+                time = times.clock(car["total_s"]) if car["finished"] else "not finished"
+                counts = car["off_tracks"], car["crashes"], car["overtakes"]
+                driver = result.places[slot], names[half.grid[slot]], slot + 1
+                rows.append((*driver, car["laps"], time, *counts))
+            heads = ("", "entry", "slot", "laps", "time", "off", "crash", "passed")
+            tables.table(title, heads, rows, "passed", "laps", "crash", "off")
+        if record.state == "quarantined":
+            of = f" of heat {audited}" if audited else ""
+            print(
+                f"The results{of} differ, so none counts. `league retry {record.number}` has the "
+                "races run once more: the result that comes again is the one that counts."
+            )
+        if record.state == "done" and any(result.replay for result in results):
+            print(f"Watch it: league view {record.number}   (the second race: --race 2)")
+        if record.traceback:
+            print(tables.spelled(record.traceback))
 
 
 @dataclass
@@ -101,7 +141,6 @@ class Retry(OnLeague):
     """Its number, or the beginning of its key."""
 
     def run(self) -> None:
-        """Run the command."""
         with self.opened() as store:
             record = store.heat(self.heat)
             number = store.retry(record.heat.key)
@@ -132,7 +171,6 @@ class Audit(OnLeague):
     """The ledger's head as an earlier audit printed it: nothing up to then may have changed."""
 
     def run(self) -> int:
-        """Run the command."""
         import numpy as np
 
         from league.matchmaking import gauntlet
@@ -176,54 +214,6 @@ class Audit(OnLeague):
         return 1 if differ or found.mismatches else 0
 
 
-def _show(store: Store, record: HeatRecord, as_json: bool) -> None:
-    from league.matchmaking import documents
-
-    names = documents.names_of(store.entries())
-    results = store.results(record.number)
-    if as_json:
-        season.print_json({**documents.heat_document(record, names), "results": results})
-        return
-    print(f"Heat {record.number} ({record.heat.purpose}), {record.state}, key {record.heat.key}")
-    if record.worker:
-        print(f"raced by {record.worker}, try {record.attempts}")
-    disputed = len(results) > len(record.heat.halves)
-    for result in results:
-        half = record.heat.halves[result.half]
-        title = f"Race {result.half + 1} on {half.track}"
-        if record.seeds:
-            title += f", seed {record.seeds[result.half]}"
-        verdict = ", REJECTED" if result.rejected else ""
-        on = f" on {tables.spelled(result.machine)}" if result.machine else ""
-        if disputed or on:
-            print(f"Result {result.hash[:12]} by {result.worker}{on}{verdict}:")
-        rows = [
-            (
-                str(result.places[car["car"]]),
-                names[half.grid[car["car"]]],
-                str(car["car"] + 1),
-                str(car["laps"]),
-                times.clock(car["total_s"]) if car["finished"] else "not finished",
-                str(car["off_tracks"]),
-                str(car["crashes"]),
-                str(car["overtakes"]),
-            )
-            for car in result.result["order"]
-        ]
-        heads = ("", "entry", "slot", "laps", "time", "off", "crash", "passed")
-        tables.table(title, heads, rows, "passed", "laps", "crash", "off")
-    if record.state == "quarantined":
-        of = f" of heat {store.heat(record.heat.audits).number}" if record.heat.audits else ""
-        print(
-            f"The results{of} differ, so none counts. `league retry {record.number}` has the races "
-            "run once more: the result that comes again is the one that counts."
-        )
-    if record.state == "done" and any(result.replay for result in results):
-        print(f"Watch it: league view {record.number}   (the second race: --race 2)")
-    if record.traceback:
-        print(tables.spelled(record.traceback))
-
-
 def export_csv(store: Store, path: Path) -> None:
     """Write a line for each car of each race; "-" is the standard output."""
     with _output(path) as file:
@@ -238,17 +228,19 @@ def _inert(value: object) -> object:
     return f"'{value}" if isinstance(value, str) and value[:1] in tuple("=+-@\t\r") else value
 
 
-def export_json(store: Store, path: Path, standings: object) -> None:
+def export_json(store: Store, path: Path) -> None:
     """Write rules, entries, standings and races; "-" is the standard output."""
-    from league.matchmaking import documents
+    from league.matchmaking import documents, standings
 
-    settings = store.settings
+    settings, rated = store.settings, None
+    with contextlib.suppress(StoreError):  # where no entry is rated yet
+        rated = documents.standings_document(standings.of(store))
     document = {
         "league": settings.name,
         "rules": documents.plain(settings.ruleset),
         "ruleset": settings.ruleset.hash,
         "entries": documents.plain(store.entries()),
-        "standings": standings,
+        "standings": rated,
     }
     with _output(path) as file:
         head = json.dumps(document, indent=1, ensure_ascii=False)
@@ -258,7 +250,7 @@ def export_json(store: Store, path: Path, standings: object) -> None:
         file.write("\n ]\n}\n")
 
 
-@contextmanager
+@contextlib.contextmanager
 def _output(path: Path) -> Generator[TextIO]:
     """Yield a file to write, which appears when it is whole; "-" is the standard output."""
     if str(path) == "-":

@@ -5,7 +5,6 @@ On a terminal `run` and `work` show a live page, otherwise a line for each heat.
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 import time
@@ -14,7 +13,7 @@ from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -59,7 +58,6 @@ class Racing(OnLeague):
     """Print a line for each heat instead of the page."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking.workers.worker import check_physics
 
         self._check()
@@ -76,19 +74,20 @@ class Racing(OnLeague):
 
     def _race(self, source: HeatSource, store: Store | None) -> None:
         """Race heats of a source; `store` is the league, where it is on this machine."""
-        from league.matchmaking import loop, workers
+        from league.matchmaking import loop
         from league.matchmaking.workers.dispatcher import Dispatcher
 
         with ExitStack() as stack:
             matchmaker = self._matchmaker(store) if store else None
-            executor = workers.make_executor(self.executor, self.workers or os.cpu_count() or 1)
-            stack.callback(executor.close)
+            executor = stack.enter_context(season.local_workers(self.workers, self.executor))
             dispatcher = Dispatcher(
                 source, executor, lease_s=self.lease_s, keep_replays=self.replays
             )
             watch = _print_finished
             if store and sys.stdout.isatty() and not self.plain:
-                watch = stack.enter_context(LivePage(store, dispatcher)).show
+                page = LivePage(store, dispatcher)
+                stack.enter_context(page.live)
+                watch = page.show
             tally = loop.run(
                 store,
                 dispatcher,
@@ -116,7 +115,6 @@ class Work(Racing, OnServer):
     """
 
     def run(self) -> None:
-        """Run the command."""
         if not self.to:
             return super().run()
         from league.matchmaking.remote import RemoteQueue
@@ -163,7 +161,6 @@ class Serve(OnLeague):
     """Share of the heats of remote workers that are run again by others, in percent."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking.store import Quota
         from league.web import server
         from league.web.security import Access
@@ -198,7 +195,6 @@ class Site(OnLeague):
     """Number of a season that is over: everything is as it was at its end."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.web import site
 
         season.at_least(self, "heats", 0)
@@ -285,14 +281,7 @@ class LivePage:
         self._last: deque[str] = deque(maxlen=6)
         self._standings: Standings | None = None
         self._fitted_s, self._stale = 0.0, True
-        self._live = Live(console=tables.console(), refresh_per_second=4, transient=True)
-
-    def __enter__(self) -> Self:
-        self._live.__enter__()
-        return self
-
-    def __exit__(self, *about: object) -> None:
-        self._live.__exit__(None, None, None)
+        self.live = Live(console=tables.console(), refresh_per_second=4, transient=True)
 
     def show(self, tally: Tally, finished: list[FinishedHeat]) -> None:
         """Draw the page."""
@@ -301,7 +290,7 @@ class LivePage:
         self._stale = self._stale or bool(finished)
         if self._stale and time.monotonic() - self._fitted_s > REFIT_EVERY_S:
             self._refit()
-        self._live.update(self._drawn(tally))
+        self.live.update(self._drawn(tally))
 
     def _refit(self) -> None:
         from league.matchmaking import standings

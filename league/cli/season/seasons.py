@@ -13,7 +13,7 @@ from league.cli.season import Reading
 from league.errors import ConfigError
 
 if TYPE_CHECKING:
-    from league.matchmaking.store import Cup, Season, Store
+    from league.matchmaking.store import Season, Store
 
 
 @dataclass
@@ -33,7 +33,6 @@ class Seasons(Reading):
     """Safety rating, 0 to 5, that its top division asks for; 0 for none."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking import seasons
         from league.matchmaking.divisions import SeasonSettings
 
@@ -69,7 +68,7 @@ class Seasons(Reading):
             heats = f"{one.after + 1}-{one.until or ''}"
             ended = times.day(one.ended_s)[:10] if one.ended_s else "running"
             started = times.day(one.started_s)[:10]
-            rows.append((str(one.number), one.name, heats, started, ended, one.hash[:12]))
+            rows.append((one.number, one.name, heats, started, ended, one.hash[:12]))
         heads = ("", "season", "heats", "from", "to", "standings")
         tables.table("Seasons", heads, rows, "standings", "from")
         for one in known:
@@ -99,7 +98,6 @@ class Cups(Reading):
     """Let the league's own drivers take part in the cup that starts."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking import cups
 
         if self.anchors and self.action != "start":
@@ -111,21 +109,14 @@ class Cups(Reading):
                 print(f"{cup.name} has begun with {entrants} entrants: `league run` races it.")
                 return
             cup = cups.named(store, self.name)
-            document = _document_of(store, cup)
+            document = store.frozen(cup)
+            if document is None:
+                entries = {entry.id: entry for entry in store.entries()}
+                document = cups.document(cup, cups.bracket(store, cup), entries)
         if self.json:
             season.print_json(document)
-            return
-        _print_bracket(document)
-
-
-def _document_of(store: Store, cup: Cup) -> dict[str, Any]:
-    from league.matchmaking import cups
-
-    frozen = store.frozen(cup)
-    if frozen is not None:
-        return frozen
-    entries = {entry.id: entry for entry in store.entries()}
-    return cups.document(cup, cups.bracket(store, cup), entries)
+        else:
+            _print_bracket(document)
 
 
 def _print_bracket(document: dict[str, Any]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,7 +16,7 @@ from league.errors import ConfigError, StoreError
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from league.matchmaking.standings import Row, Standings
+    from league.matchmaking.standings import Standings
     from league.matchmaking.store import LeagueEntry, Store
 
 
@@ -32,7 +32,6 @@ class ShowStandings(Reading):
     """Only so many."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking import documents, standings
 
         season.at_least(self, "top", 1)
@@ -54,9 +53,44 @@ class ShowEntry(Reading):
     """Name or id."""
 
     def run(self) -> None:
-        """Run the command."""
+        from league.matchmaking import documents, standings
+
         with self.opened() as store:
-            _show(store, store.entry(self.entry), self.json)
+            entry = store.entry(self.entry)
+            recent = store.heats(entries=[entry.number])[-10:]
+            try:
+                rated = standings.of(store)
+                row = rated.row(entry.number)
+                others = standings.records(rated, entry.number)
+            except StoreError:  # it is not rated yet
+                row, others = None, []
+        if self.json:
+            records = [{"name": other.name, **documents.plain(record)} for other, record in others]
+            heats = [{"number": heat.number, "state": heat.state} for heat in recent]
+            document = {"entry": entry, "standing": row, "against": records, "heats": heats}
+            season.print_json(document)
+            return
+        print(f"{entry.name} by {entry.owner}   {entry.id}")
+        reason = f", {tables.spelled(entry.reason)}" if entry.reason else ""
+        print(f"{entry.state}{reason}, {'anchor' if entry.anchor else entry.kind}")
+        if row is not None:
+            rating = season.plus_minus(row.elo, row.low95, row.high95)
+            print(
+                f"rank {row.rank} ({row.best_rank} to {row.worst_rank}), Elo {rating}, "
+                f"{row.races} races, score {100 * row.score:.0f} %"
+            )
+            if row.unfinished is not None:
+                clean, best = _laps(row.clean_laps_s), _laps(row.best_laps_s)
+                print(f"not finished: {100 * row.unfinished:.0f} %, best clean lap: {clean}")
+                print(f"fastest complete lap, penalties included: {best}")
+        rows = []
+        for other, record in others:
+            points = f"{record.points:g}", f"{record.expected:.1f}", f"{record.residual:+.1f}"
+            rows.append((other.name, other.owner, f"{other.elo:.0f}", record.races, *points))
+        heads = ("entry", "owner", "Elo", "races", "points", "promised", "residual")
+        if others:
+            tables.table("Against", heads, rows, "owner", "promised")
+        print("Last heats: " + (", ".join(f"{h.number} ({h.state})" for h in recent) or "none"))
 
 
 @dataclass
@@ -74,7 +108,6 @@ class ShowHeadToHead(Reading):
     """Largest size of the matrix, where no names are given; less where there is no space."""
 
     def run(self) -> None:
-        """Run the command."""
         season.at_least(self, "top", 2)
         if self.one and not self.other:
             raise ConfigError(
@@ -98,7 +131,6 @@ class ShowHistory(Reading):
     """How many moments."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking import history
 
         season.at_least(self, "points", 1)
@@ -108,26 +140,12 @@ class ShowHistory(Reading):
         if self.json:
             season.print_json(moments)
             return
-        rows = [
-            (
-                str(moment.heat),
-                str(moment.races),
-                season.plus_minus(moment.elo, moment.low95, moment.high95),
-                f"{moment.low95:.0f} to {moment.high95:.0f}",
-            )
-            for moment in moments
-        ]
+        rows = []
+        for moment in moments:
+            elo = season.plus_minus(moment.elo, moment.low95, moment.high95)
+            between = f"{moment.low95:.0f} to {moment.high95:.0f}"
+            rows.append((moment.heat, moment.races, elo, between))
         tables.table(f"{entry.name} over time", ("heat", "races", "Elo, 95 %", "between"), rows)
-
-
-def document(store: Store) -> dict[str, object] | None:
-    """Return a league's standings as plain data; None where no entry is rated."""
-    from league.matchmaking import documents, standings
-
-    try:
-        return documents.standings_document(standings.of(store))
-    except StoreError:
-        return None
 
 
 def standings_table(rated: Standings, limit: int | None = None) -> RenderableType:
@@ -135,31 +153,20 @@ def standings_table(rated: Standings, limit: int | None = None) -> RenderableTyp
     shown = rated.rows[:limit]
     flags = ["*" * row.anchor + "!" * row.one_sided + "~" * (not row.connected) for row in shown]
     most = max(map(len, flags), default=0)
-    rows = [
-        (
-            str(row.rank),
-            row.name,
-            row.owner,
-            f"{row.elo:.0f} ±{(row.high95 - row.low95) / 2:<3.0f} {flag:{most}}",
-            f"{row.listed_by:.0f}",
-            row.state,
-            str(row.races),
-            "" if row.unfinished is None else f"{100 * row.unfinished:.0f}%",
-            _clean_lap(row, rated.tracks),
-            f"{row.best_rank}-{row.worst_rank}" if row.best_rank < row.worst_rank else "",
-        )
-        for row, flag in zip(shown, flags, strict=True)
-    ]
+    rows = []
+    for row, flag in zip(shown, flags, strict=True):
+        elo = f"{row.elo:.0f} ±{(row.high95 - row.low95) / 2:<3.0f} {flag:{most}}"
+        unfinished = "" if row.unfinished is None else f"{100 * row.unfinished:.0f}%"
+        # On the first track: laps of several are not alike.
+        lap_s = row.clean_laps_s.get(rated.tracks[0]) if rated.tracks else None
+        lap = "" if lap_s is None else times.clock(lap_s)
+        ranks = f"{row.best_rank}-{row.worst_rank}" if row.best_rank < row.worst_rank else ""
+        rating = elo, f"{row.listed_by:.0f}", row.state
+        rows.append((row.rank, row.name, row.owner, *rating, row.races, unfinished, lap, ranks))
     heads = (
         "", "entry", "owner", "Elo ± 95 %", "by", "state", "races", "DNF", "clean lap", "ranks",
     )  # fmt: skip
     return tables.fitted("Standings", heads, rows, ("owner", "ranks", "DNF", "clean lap", "races"))
-
-
-def _clean_lap(row: Row, tracks: Sequence[str]) -> str:
-    """Return an entry's best clean lap on the first track: laps of several are not alike."""
-    lap_s = row.clean_laps_s.get(tracks[0]) if tracks else None
-    return "" if lap_s is None else times.clock(lap_s)
 
 
 def _notes(rated: Standings) -> list[str]:
@@ -171,21 +178,20 @@ def _notes(rated: Standings) -> list[str]:
     lines = [
         f"{rated.num_races} races under rules {rated.ruleset[:12]}; the front of the grid is worth "
         f"{front[0] - front[-1]:+.0f} Elo over its end.",
-        *(
-            [
-                f"Pole: {100 * pole.won:.0f} % of {pole.races} races were won from it "
-                f"({100 * pole.low95:.0f} to {100 * pole.high95:.0f}; {100 * pole.even:.0f} if "
-                f"slots decided nothing), worth {pole.elo:+.0f} Elo "
-                f"({pole.elo_low95:+.0f} to {pole.elo_high95:+.0f}) over the mean slot."
-            ]
-            if pole
-            else []
-        ),
+    ]
+    if pole:
+        lines.append(
+            f"Pole: {100 * pole.won:.0f} % of {pole.races} races were won from it "
+            f"({100 * pole.low95:.0f} to {100 * pole.high95:.0f}; {100 * pole.even:.0f} if "
+            f"slots decided nothing), worth {pole.elo:+.0f} Elo "
+            f"({pole.elo_low95:+.0f} to {pole.elo_high95:+.0f}) over the mean slot."
+        )
+    lines += [
         "by: what the table is sorted by, Elo, or Elo - 2 sd while that is above 50 (or ~)",
         "* anchor, one of the league's own drivers   ! won or lost every pair",
         "ranks: those the races allow   DNF: races not finished",
+        "clean lap: the fastest one of a race without a mistake",
     ]
-    lines.append("clean lap: the fastest one of a race without a mistake")
     if len(rated.tracks) > 1:
         lines.append(f"clean lap: on {rated.tracks[0]}; `league show ENTRY` shows those on others")
     if not all(row.connected for row in rated.rows):
@@ -198,55 +204,9 @@ def _notes(rated: Standings) -> list[str]:
     return lines
 
 
-def _show(store: Store, entry: LeagueEntry, as_json: bool) -> None:
-    from league.matchmaking import documents, standings
-
-    rated: Standings | None = None
-    try:
-        rated = standings.of(store)
-        row = rated.row(entry.number)
-    except StoreError:
-        row = None
-    others = standings.records(rated, entry.number) if rated is not None and row is not None else []
-    recent = store.heats(entries=[entry.number])[-10:]
-    if as_json:
-        records = [{"name": other.name, **documents.plain(record)} for other, record in others]
-        heats = [{"number": heat.number, "state": heat.state} for heat in recent]
-        document = {"entry": entry, "standing": row, "against": records, "heats": heats}
-        season.print_json(document)
-        return
-    print(f"{entry.name} by {entry.owner}   {entry.id}")
-    reason = f", {tables.spelled(entry.reason)}" if entry.reason else ""
-    print(f"{entry.state}{reason}, {'anchor' if entry.anchor else entry.kind}")
-    if row is not None:
-        rating = season.plus_minus(row.elo, row.low95, row.high95)
-        print(
-            f"rank {row.rank} ({row.best_rank} to {row.worst_rank}), Elo {rating}, "
-            f"{row.races} races, score {100 * row.score:.0f} %"
-        )
-        if row.unfinished is not None:
-            clean, best = (
-                ", ".join(f"{times.clock(lap_s)} on {track}" for track, lap_s in laps_s.items())
-                for laps_s in (row.clean_laps_s, row.best_laps_s)
-            )
-            print(f"not finished: {100 * row.unfinished:.0f} %, best clean lap: {clean or 'none'}")
-            print(f"fastest complete lap, penalties included: {best or 'none'}")
-    rows = [
-        (
-            other.name,
-            other.owner,
-            f"{other.elo:.0f}",
-            str(record.races),
-            f"{record.points:g}",
-            f"{record.expected:.1f}",
-            f"{record.residual:+.1f}",
-        )
-        for other, record in others
-    ]
-    heads = ("entry", "owner", "Elo", "races", "points", "promised", "residual")
-    if others:
-        tables.table("Against", heads, rows, "owner", "promised")
-    print("Last heats: " + (", ".join(f"{h.number} ({h.state})" for h in recent) or "none"))
+def _laps(laps_s: Mapping[str, float]) -> str:
+    """Return laps [s] by their tracks."""
+    return ", ".join(f"{times.clock(lap_s)} on {one}" for one, lap_s in laps_s.items()) or "none"
 
 
 def _h2h(store: Store, one: LeagueEntry, other: LeagueEntry, as_json: bool) -> None:
@@ -300,7 +260,7 @@ def _matrix(store: Store, top: int, as_json: bool) -> None:
             cells[other.rank, one.rank] = _cell(left, record.races, -record.residual)
     ranks = [str(row.rank) for row in rows]
     lines = [
-        (str(row.rank), row.name, *(cells.get((row.rank, other.rank), "") for other in rows))
+        (row.rank, row.name, *(cells.get((row.rank, other.rank), "") for other in rows))
         for row in rows
     ]
     tables.table("Head to head", ("", "entry", *ranks), lines)

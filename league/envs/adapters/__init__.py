@@ -19,12 +19,7 @@ if TYPE_CHECKING:
 def load_drivers(
     drivers: Sequence[Driver | str], tracks: TrackSet, car: CarConfig
 ) -> tuple[Driver, ...]:
-    """Return drivers, those given by name or by checkpoint loaded.
-
-    Raises:
-        PolicyError: there is no driver of this name.
-        ConfigError: something is neither a name nor a driver.
-    """
+    """Return drivers, those given by name loaded; PolicyError or ConfigError if there is none."""
     loaded = []
     for driver in (drivers,) if isinstance(drivers, str) else drivers:
         if isinstance(driver, str):
@@ -47,12 +42,7 @@ def load_reward(
     num_worlds: int,
     cars: Sequence[int],
 ) -> Reward | None:
-    """Return the reward of some cars if it is computed in Python; None: by `cfg.reward`.
-
-    Raises:
-        RewardError: a reward file that cannot be used.
-        ConfigError: something is neither a reward nor the name or path of one.
-    """
+    """Return the cars' reward if it is Python's, else None; RewardError or ConfigError if none."""
     from league.envs import rewards
 
     if reward is None or isinstance(reward, rewards.RewardConfig):

@@ -1,7 +1,5 @@
 """Races with one learner for Gymnasium, the other cars driven by given drivers: Env, VectorEnv."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any, Unpack
@@ -25,8 +23,7 @@ from league.track.track import Track, TrackSet
 
 Observation = dict[str, np.ndarray]
 
-DEFAULT_OPPONENTS = ("centerline",)
-"""Opponents in a head_to_head race unless others are given."""
+DEFAULT_OPPONENTS = ("centerline",)  # opponents in a head_to_head race unless others are given
 
 
 class LearnerEnv:
@@ -43,6 +40,7 @@ class LearnerEnv:
         opponents: Sequence[Driver | str] | None = None,
         **options: Unpack[EnvOptions],
     ) -> None:
+        make.check_whole("num_envs", num_worlds, 1)
         tracks = make.course(track)
         racing = kind == "head_to_head"
         if opponents is None:
@@ -71,7 +69,7 @@ class LearnerEnv:
         )
         reward = load_reward(options.get("reward"), tracks, cfg, num_worlds, (car,))
         self.env, self.car = RaceEnv(tracks, cfg, num_worlds=num_worlds, reward=reward), car
-        self.sensors = cfg.sensors_of(car)
+        self.sensors, self.infos = cfg.sensors_of(car), spaces.Infos(self.env, car)
         self._opponents = Opponents(dict(zip(others, drivers, strict=True)))
         self._actions = np.zeros((num_worlds, len(carried), SIZE), np.float32)
 
@@ -84,10 +82,7 @@ class LearnerEnv:
     def step(
         self, actions: np.ndarray, restart: np.ndarray | None = None, seeds: list[int] | None = None
     ) -> Step:
-        """Drive the learner by its actions (num_worlds, 2) and the others by their drivers.
-
-        Worlds in `restart` are started again from their seeds; see RaceEnv.
-        """
+        """Drive the learner by (num_worlds, 2) actions, the others by drivers; see RaceEnv.step."""
         self._actions[:, self.car] = actions
         if not self._opponents.cars:
             return self.env.step(self._actions, restart=restart, seeds=seeds)
@@ -129,10 +124,10 @@ class Seeds:
             seeds = [None if one is None else make.checked_seed(one) for one in seed]
         if len(seeds) != self._num_envs:
             raise ConfigError(f"{len(seeds)} seeds for {self._num_envs} races: give one for each")
-        kept = self._generators or [None] * self._num_envs
+        kept = self._generators
         self._generators = [
-            old if one is None and old is not None else np_random(one)[0]
-            for one, old in zip(seeds, kept, strict=True)
+            kept[race] if one is None and kept else np_random(one)[0]
+            for race, one in enumerate(seeds)
         ]
         return self.draw(np.ones(self._num_envs, bool))
 
@@ -187,31 +182,21 @@ class GymEnv(gymnasium.Env[Any, np.ndarray]):
         self._renderer = EnvRenderer(self.learner.env, render_mode, view, car)
         self.observation_space = spaces.observation_space(self.learner.sensors, privileged)
         self._reader = spaces.ObservationReader(self.observation_space)
-        self._infos = spaces.Infos(self.learner.env, car)
         self.action_space = spaces.action_space()
         self._over = True
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start a new race or episode; nothing of the past remains.
-
-        Args:
-            seed: of all random numbers; None goes on to another race.
-            options: not used.
-        """
+        """Start a race or episode from a seed; None goes on to another. `options` is not used."""
         super().reset(seed=None if seed is None else make.checked_seed(seed))
         groups = self.learner.reset([make.draw_seed(self.np_random)])
         self._over = False
         self._renderer.reset()
-        return self._reader.read(groups), self._infos.of_first(None)
+        return self._reader.read(groups), self.learner.infos.of_first(None)
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Drive for 1/15 s.
-
-        Raises:
-            ActionError: the action is not two numbers in [-1, 1], or the race is over.
-        """
+        """Drive for 1/15 s; ActionError if the action is not sound, or the race over."""
         if self._over:
             raise ActionError("step was called on a race that is over or not begun: call reset")
         step, car = self.learner.step(checked(action, "the learner")), self.learner.car
@@ -219,7 +204,7 @@ class GymEnv(gymnasium.Env[Any, np.ndarray]):
         terminated, truncated = step.terminated.item(0, car), step.truncated.item(0, car)
         self._over = terminated or truncated
         observation = self._reader.read(step.observations[car])
-        info = self._infos.of_first(step)
+        info = self.learner.infos.of_first(step)
         return observation, step.rewards.item(0, car), terminated, truncated, info
 
     def render(self) -> np.ndarray | None:
@@ -273,7 +258,6 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
                 f"render_mode is {render_mode!r}: a batch is not drawn, give None, or choose "
                 "vectorization_mode='sync'"
             )
-        make.check_whole("num_envs", num_envs, 1)
         make.check_options(options, GymVectorEnv.__init__)
         if max_episode_steps is not None:
             options.setdefault("max_steps", max_episode_steps)
@@ -291,7 +275,6 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
         self.single_action_space = spaces.action_space()
         self.observation_space = spaces.batched(self.single_observation_space, num_envs)
         self._reader = spaces.ObservationReader(self.observation_space)
-        self._infos = spaces.Infos(self.learner.env, car)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._seeds = Seeds(num_envs)
         self._done = np.zeros(num_envs, dtype=bool)
@@ -322,62 +305,48 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
     def step(
         self, actions: np.ndarray
     ) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Drive all races for 1/15 s, or restart those that have ended.
-
-        Raises:
-            ActionError: the actions are not (num_envs, 2) numbers in [-1, 1].
-        """
+        """Drive all for 1/15 s, or restart those that have ended; ActionError as `checked`."""
         if not self._seeds.begun:
             raise ActionError("step was called before the first reset: call reset")
         actions, ended = checked(actions, "the learners", rows=self.num_envs), self._done
-        if self.autoreset_mode != AutoresetMode.NEXT_STEP:
-            return self._step_alone(actions)
-        if ended.any():
-            step = self.learner.step(actions, ended, self._seeds.draw(ended))
-        else:
-            step = self.learner.step(actions)
-        car = self.learner.car
-        terminated = step.terminated[:, car] & ~ended
-        truncated = step.truncated[:, car] & ~ended
-        rewards = np.where(ended, 0.0, step.rewards[:, car].astype(np.float64))
-        self._done = terminated | truncated
-        observations = self._reader.read(step.observations[car])
-        return observations, rewards, terminated, truncated, self._info(step, ended)
-
-    def _step_alone(
-        self, actions: np.ndarray
-    ) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Drive all races, and in mode SAME_STEP restart those that have ended."""
-        if self._done.any():
+        if ended.any() and self.autoreset_mode != AutoresetMode.NEXT_STEP:
             raise ActionError(
-                f"step was called while race {int(self._done.argmax())} is over: call "
+                f"step was called while race {int(ended.argmax())} is over: call "
                 'reset(options={"reset_mask": ended})'
             )
-        step, car = self.learner.step(actions), self.learner.car
-        terminated, truncated = step.terminated[:, car].copy(), step.truncated[:, car].copy()
-        rewards, done = step.rewards[:, car].astype(np.float64), terminated | truncated
-        observations, info = self._reader.read(step.observations[car]), self._info(step)
-        if self.autoreset_mode == AutoresetMode.DISABLED:
+        seeds = self._seeds.draw(ended) if ended.any() else None
+        step = self.learner.step(actions, None if seeds is None else ended, seeds)
+        car = self.learner.car
+        terminated, truncated = step.terminated[:, car] & ~ended, step.truncated[:, car] & ~ended
+        rewards = np.where(ended, 0.0, step.rewards[:, car].astype(np.float64))
+        observations, info = self._reader.read(step.observations[car]), self._info(step, ended)
+        done = terminated | truncated
+        if self.autoreset_mode != AutoresetMode.SAME_STEP:
             self._done = done
         elif done.any():
-            final = np.full(self.num_envs, None, object)
-            for race in np.flatnonzero(done):
-                final[race] = {name: values[race] for name, values in observations.items()}
-            self.learner.restart(done, self._seeds.draw(done))
-            observations = self._reader.read(self.learner.env.observations[car])
-            begun = self._infos.of_all(None)
-            begun = spaces.masked(spaces.mixed(done, begun, info), self.num_envs)
-            info = begun | {
-                "final_obs": final, "_final_obs": done, "final_info": info, "_final_info": done,
-            }  # fmt: skip
+            observations, info = self._restarted(done, observations, info)
         return observations, rewards, terminated, truncated, info
+
+    def _restarted(
+        self, done: np.ndarray, final: Observation, info: dict[str, Any]
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Restart races; return what they observe, and infos with what they observed last."""
+        last = np.full(self.num_envs, None, object)
+        for race in np.flatnonzero(done):
+            last[race] = {name: values[race] for name, values in final.items()}
+        self.learner.restart(done, self._seeds.draw(done))
+        begun = spaces.mixed(done, self.learner.infos.of_all(None), info)
+        ended = {"final_obs": last, "final_info": info}
+        masks = {f"_{name}": done for name in ended}
+        observations = self._reader.read(self.learner.env.observations[self.learner.car])
+        return observations, spaces.masked(begun, self.num_envs) | ended | masks
 
     def close_extras(self, **kwargs: Any) -> None:  # noqa: ANN401
         """Close the physics engine."""
         self.learner.env.close()
 
     def _info(self, step: Step | None, ended: np.ndarray | None = None) -> dict[str, Any]:
-        info = self._infos.of_all(step)
+        info = self.learner.infos.of_all(step)
         if ended is not None and ended.any():
-            info = spaces.mixed(ended, self._infos.of_all(None), info)
+            info = spaces.mixed(ended, self.learner.infos.of_all(None), info)
         return spaces.masked(info, self.num_envs)

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.spaces import Box, Dict
 from pettingzoo import ParallelEnv
 
-from league.envs import make
+from league.envs import make, state
 from league.envs.actions import SIZE, of_agents
 from league.envs.adapters import load_reward, spaces
 from league.envs.adapters.rendering import EnvRenderer
@@ -100,7 +100,8 @@ class RaceParallelEnv(ParallelEnv[str, Any, np.ndarray]):
         self._action_spaces = {agent: spaces.action_space() for agent in self.possible_agents}
         self.observation_spaces = {**self._observation_spaces}
         self.action_spaces = {**self._action_spaces}
-        self.state_space = spaces.state_space(env.num_cars)
+        limit, size = spaces.STATE_LIMIT, env.num_cars * state.SIZE
+        self.state_space = Box(-limit, limit, (size,), np.float32)
         self._readers = [
             spaces.ObservationReader(space) for space in self._observation_spaces.values()
         ]
@@ -124,12 +125,7 @@ class RaceParallelEnv(ParallelEnv[str, Any, np.ndarray]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
-        """Start a new race; nothing of the past remains.
-
-        Args:
-            seed: of obstacles, noise and all other random numbers; None goes on to another race.
-            options: not used.
-        """
+        """Start a race from a seed; None goes on to another. `options` is not used."""
         if seed is not None:
             self._generator = np.random.default_rng(make.checked_seed(seed))
         elif self._generator is None:
@@ -148,11 +144,7 @@ class RaceParallelEnv(ParallelEnv[str, Any, np.ndarray]):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Drive all cars for 1/15 s.
-
-        Raises:
-            ActionError: an agent without an action, an action without its agent, or no action.
-        """
+        """Drive all cars for 1/15 s; ActionError if agents and actions do not match."""
         known = self.possible_agents if self._generator is not None else []
         checked = of_agents(actions, self.agents, known)
         if not self.agents:
@@ -161,8 +153,8 @@ class RaceParallelEnv(ParallelEnv[str, Any, np.ndarray]):
             self._actions[0, self._cars[agent]] = action
         step = self._env.step(self._actions)
         self._renderer.update()
-        rewards, terminated, truncated = (
-            self._by_agent(each) for each in (step.rewards, step.terminated, step.truncated)
+        rewards, terminated, truncated = map(
+            self._by_agent, (step.rewards, step.terminated, step.truncated)
         )
         observations, infos = self._read(step.observations), self._infos_of(step)
         for agent in [name for name in self.agents if terminated[name] or truncated[name]]:

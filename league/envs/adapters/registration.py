@@ -1,7 +1,5 @@
 """The ids under which Gymnasium finds the races; registering them loads nothing heavy."""
 
-from __future__ import annotations
-
 IDS = {
     "league/TimeTrial-v0": "time_trial",
     "league/ObstacleAvoidance-v0": "obstacle_avoidance",

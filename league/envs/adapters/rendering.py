@@ -17,18 +17,14 @@ if TYPE_CHECKING:
 
 MODES = ("rgb_array", "human")
 VIEWS = ("chase", "top")
-SIZE = (640, 360)
-"""Width and height of pictures."""
+SIZE = (640, 360)  # width and height of pictures
 
 
 class EnvRenderer:
     """Shows the first world of a RaceEnv; it never changes it."""
 
     def __init__(self, env: RaceEnv, mode: str | None, view: str, car: int | None = None) -> None:
-        """Check the arguments; nothing is opened yet.
-
-        The chase camera follows `car`; None: the leader.
-        """
+        """Check the arguments. The chase camera follows `car`; None: the leader."""
         if mode is not None and mode not in MODES:
             raise ConfigError(f"render_mode is {mode!r}: choose one of {', '.join(MODES)}, or None")
         if view not in VIEWS:
@@ -64,13 +60,13 @@ class EnvRenderer:
             )
         if self._mode == "human":
             return None  # shown already, step by step
-        from league.video import top_view
+        from league.video import stills
 
         env, world = self._env, self._env.world
         if self._view == "top":
-            return top_view.top_view(env.tracks, env.cfg.sim, world, 0, *SIZE)
+            return stills.top_view(env.tracks, env.cfg.sim, world, 0, *SIZE)
         car = int(world.worlds["leader"][0]) if self._car is None else self._car
-        return top_view.chase_view(env.tracks, env.cfg.sim, world, 0, car, *SIZE)
+        return stills.chase_view(env.tracks, env.cfg.sim, world, 0, car, *SIZE)
 
     def close(self) -> None:
         """Close the viewer, if it was opened."""

@@ -1,7 +1,5 @@
 """rsl-rl's VecEnv; a row is one (world, learner) pair with episodes of its own."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -167,8 +165,8 @@ class RacingVecEnv(VecEnv):
         groups = {
             name: self._stacked([observed[car][name] for car in self.learners]) for name in names
         }
-        if not self._as_bytes:
-            groups = {name: _scaled(group) for name, group in groups.items()}
+        if "stereo" in groups and not self._as_bytes:
+            groups["stereo"] = groups["stereo"].to(torch.float32) / 255.0
         return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
 
     def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict[str, Any]]:
@@ -196,13 +194,12 @@ class RacingVecEnv(VecEnv):
             self.watch(self._env.world)
         self._opponents.forget(step.began)
         dones = self._rows(step.terminated | step.truncated).to(torch.int64)
-        laps_driven = self._laps_driven + self._rows(step.verdicts["advance"]) / self._lap_lengths
+        lengths = self._env.tracks.length[self._env.world.track].repeat(len(self.learners))
+        laps = self._rows(step.verdicts["advance"]) / torch.from_numpy(lengths).to(self.device)
+        laps_driven = self._laps_driven + laps
         self._laps_driven = torch.where(dones > 0, 0.0, laps_driven)
-        extras = {
-            "time_outs": self._rows(step.truncated),
-            "log": self._log(step),
-            "driven": laps_driven,
-        }
+        extras = {"time_outs": self._rows(step.truncated), "log": self._log(step)}
+        extras["driven"] = laps_driven
         return self.get_observations(), self._rows(step.rewards), dones, extras
 
     def close(self) -> None:
@@ -213,12 +210,6 @@ class RacingVecEnv(VecEnv):
         """Return a copy of the learners' values on the rows' device, (num_envs, ...)."""
         mine = values[:, self._columns].reshape(self.num_envs, *values.shape[2:])
         return torch.from_numpy(mine).to(self.device)
-
-    @property
-    def _lap_lengths(self) -> Tensor:
-        """Length of the lap each row drives [m], (num_envs,)."""
-        lengths = self._env.tracks.length[self._env.world.track]
-        return torch.from_numpy(lengths.repeat(len(self.learners))).to(self.device)
 
     def _stacked(self, groups: list[np.ndarray]) -> Tensor:
         """Return one group of all rows: a copy, because the environment overwrites its own."""
@@ -234,16 +225,11 @@ class RacingVecEnv(VecEnv):
         log["/drive/laps"] = self._mean(seen["lap"])
         log["/episode/time_outs"] = self._mean(step.truncated)
         if self._env.cfg.scenarios is not None:
-            log["/race/near"] = self._mean(step.near)
-            log["/race/blame"] = self._mean(seen["to_blame"])
-            log["/race/attacks"] = self._mean(step.attack > NO_ATTACK)
-            log["/race/passed"] = self._mean(step.attack >= PASSED)
-            log["/race/clean"] = self._mean(step.attack == CLEAN)
+            attack = step.attack
+            races = {"near": step.near, "blame": seen["to_blame"], "attacks": attack > NO_ATTACK}
+            races |= {"passed": attack >= PASSED, "clean": attack == CLEAN}
+            log |= {f"/race/{name}": self._mean(values) for name, values in races.items()}
         return log
 
     def _mean(self, values: np.ndarray) -> Tensor:
         return self._rows(values).to(torch.float32).mean()
-
-
-def _scaled(group: Tensor) -> Tensor:
-    return group.to(torch.float32) / 255.0 if group.dtype == torch.uint8 else group

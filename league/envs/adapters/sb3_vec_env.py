@@ -1,7 +1,5 @@
 """Stable-Baselines3's VecEnv over a batch of races with one learner each."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from typing import Any, Unpack
@@ -42,13 +40,11 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]  # without the extra
     ) -> None:
         """Set up the races, by the arguments of GymVectorEnv."""
         make.check_options(options, SB3VecEnv.__init__)
-        make.check_whole("num_envs", num_envs, 1)
         self.learner = LearnerEnv(
             track, kind, sensors, num_worlds=num_envs, car=car, opponents=opponents, **options
         )
         self.sensors, self.render_mode = self.learner.sensors, None
         single = spaces.observation_space(self.sensors, privileged)
-        self._infos = spaces.Infos(self.learner.env, car)
         self._reader = spaces.ObservationReader(spaces.batched(single, num_envs))
         self._race_seeds, self._actions = Seeds(num_envs), np.zeros((num_envs, 2), np.float32)
         self._returns, self._lengths = np.zeros(num_envs), np.zeros(num_envs, np.int64)
@@ -62,11 +58,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]  # without the extra
         return self._reader.read(self.learner.reset(seeds))
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Note the actions of all races.
-
-        Raises:
-            ActionError: they are not (num_envs, 2) numbers in [-1, 1].
-        """
+        """Note the actions of all races, (num_envs, 2) in [-1, 1]; ActionError if they are not."""
         if not self._race_seeds.begun:
             raise ActionError("step was called before the first reset: call reset")
         self._actions = checked(actions, "the learners", rows=self.num_envs)
@@ -83,7 +75,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]  # without the extra
         observations = self._reader.read(groups)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if dones.any():
-            ended = self._infos.of_all(step)
+            ended = self.learner.infos.of_all(step)
             for race in np.flatnonzero(dones).tolist():
                 infos[race] = {name: values[race].item() for name, values in ended.items()} | {
                     "terminal_observation": {n: v[race] for n, v in observations.items()},
@@ -111,13 +103,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]  # without the extra
         """Races are one batch, so none has attributes of its own."""
         raise ConfigError(f"{attr_name} cannot be set in some races: they are one batch")
 
-    def env_method(
-        self,
-        method_name: str,
-        *args: Any,  # noqa: ANN401
-        indices: Any = None,  # noqa: ANN401
-        **kwargs: Any,  # noqa: ANN401
-    ) -> list[Any]:
+    def env_method(self, method_name: str, *args: object, **kwargs: object) -> list[Any]:
         """Races are one batch, so none has methods of its own."""
         raise ConfigError(f"{method_name} cannot be called in some races: they are one batch")
 

@@ -1,7 +1,5 @@
 """What the adapters return for one car: spaces, observations as fresh arrays, and infos."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from operator import itemgetter
 from typing import Any
@@ -10,7 +8,7 @@ import numpy as np
 from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector.utils import batch_space
 
-from league.envs import actions, observations, state, truth
+from league.envs import actions, observations, state
 from league.envs.race_env import RaceEnv, Step
 from league.sim import referee
 from league.sim.config import SensorConfig
@@ -18,8 +16,7 @@ from league.sim.records import CAR, VERDICT
 
 MOTION_LIMIT = 16.0
 """Bound of the scaled own motion; a car that is hit turns faster than it can by itself."""
-STATE_LIMIT = 10_000.0
-"""Bound of the `state` group, in any unit."""
+STATE_LIMIT = 10_000.0  # bound of the `state` group, in any unit
 
 FLAGS = (
     "off_track",
@@ -58,7 +55,7 @@ def observation_space(sensors: SensorConfig, privileged: bool) -> Dict:
         shape = (observations.history_size(sensors),)
         groups["history"] = Box(-MOTION_LIMIT, most, shape, np.float32)
     if sensors.truth:
-        groups["truth"] = Box(-STATE_LIMIT, STATE_LIMIT, (truth.SIZE,), np.float32)
+        groups["truth"] = Box(-STATE_LIMIT, STATE_LIMIT, (observations.TRUTH_SIZE,), np.float32)
     size = len(observations.MOTION_FIELDS)
     groups["motion"] = Box(-MOTION_LIMIT, MOTION_LIMIT, (size,), np.float32)
     if privileged:
@@ -71,11 +68,6 @@ def batched(space: Dict, num_envs: int) -> Dict:
     batch = batch_space(space, num_envs)
     assert isinstance(batch, Dict)
     return batch
-
-
-def state_space(num_cars: int) -> Box:
-    """Return the space of the truth about all cars."""
-    return Box(-STATE_LIMIT, STATE_LIMIT, (num_cars * state.SIZE,), np.float32)
 
 
 class ObservationReader:
@@ -123,16 +115,11 @@ class Infos:
         self._rates = {"motion_rate_hz": float(step_hz)}
         for name, sensor in (("stereo", sensors.camera), ("lidar", sensors.lidar)):
             if sensor is not None:
-                self._rates[f"{name}_rate_hz"] = observations.effective_rate_hz(
-                    sensor.rate_hz, step_hz
-                )
+                # No sensor is read more often than that.
+                self._rates[f"{name}_rate_hz"] = min(sensor.rate_hz, float(step_hz))
 
     def of_all(self, step: Step | None) -> dict[str, Any]:
-        """Return the info of all worlds: arrays of shape (num_worlds,).
-
-        Args:
-            step: the last step; None after a reset, where all flags are False and all rewards 0.
-        """
+        """Return the info of all worlds, arrays (num_worlds,); without a step of a reset."""
         cars, car, number = self._world.cars[:, self._car], self._car, self._env.num_worlds
         info: dict[str, Any] = {"time_s": self._env.time_s, "place": self._places() + 1}
         info |= {name: cars[name].astype(np.float64) for name in _LENGTHS}

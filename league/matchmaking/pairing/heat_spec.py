@@ -51,13 +51,9 @@ class Ruleset:
     tracks: tuple[str, ...] = ("reinvent_2018",)
     """Names of the tracks that heats are drawn from."""
     kind: RaceKind = "head_to_head"
-    """Kind of race."""
     laps: int = 3
-    """Laps to drive."""
     cars: int = 2
-    """Cars per race."""
     solver: SolverName = "bullet"
-    """Physics solver."""
     physics: str = PHYSICS
     """Version of the physics: of whatever can change the outcome of a race."""
     sensors: Literal["stock", "any"] = "stock"
@@ -117,7 +113,6 @@ class Half:
     """One race of a heat."""
 
     track: str
-    """Name of the track."""
     grid: tuple[str, ...]
     """Entry ids in grid order: the car in slot k is driven by grid[k]."""
 
@@ -127,9 +122,7 @@ class Heat:
     """Races that belong together: as a rule two, lined up as the ruleset's format says."""
 
     ruleset: str
-    """Hash of the ruleset."""
     halves: tuple[Half, ...]
-    """The races, in order."""
     draw: int = 0
     """Number that distinguishes meetings of the same entries on the same tracks."""
     purpose: Purpose = "rated"

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -226,17 +227,18 @@ class Matchmaker:
         }
         roster = _Roster.of(entries, past, validations)
         self._move(entries, roster)
-        if within.season is not None and within.season.until is None:
+        over = within.season is not None and within.season.until is not None
+        if within.season is not None and not over:
             self._move_divisions(within.season, past, roster, number)
         plans: list[HeatPlan] = []
         for newcomer in roster.newcomers:
             plans += validation_heats(newcomer, roster.contenders, rules, generator)
         rated = [one for one in roster.contenders if one.state in RATED]
         size = min(max(LEAST_ROUND, len(rated) // 2), ROUND // 2)
-        if roster.undecided and all(one.anchor for one in rated):
-            size = 0  # a new league's first entries need not wait for its anchors to be sure
-        if within.season is not None and within.season.until is not None:
-            size = 0  # the season is over, and the next one has not begun
+        # A new league's first entries need not wait for its anchors to be sure; and a season that
+        # is over has no more heats.
+        if over or (roster.undecided and all(one.anchor for one in rated)):
+            size = 0
         plans = plans[: ROUND // 2]
         id_of = {entry.number: entry.id for entry in entries}
         line_up = _line_up(rules, past, roster, entries)
@@ -303,7 +305,8 @@ class _Roster:
         roster = cls()
         results = standings.results_of(past.races)
         passed = {number for number, heats in validations.items() if past.passed(heats)}
-        fitted = roster.fitted = standings.rated(results, entries, passed, past.carried)
+        found = standings.rated(results, entries, passed, past.carried)
+        fitted = roster.fitted = found[1] if found else None
         for entry in entries:
             state, reason = entry.state, entry.reason
             heats = validations.get(entry.number, [])
@@ -314,16 +317,15 @@ class _Roster:
             elif heats:
                 state = "validating"
                 roster.undecided += not all(past.counts(record.number) for record in heats)
-            elo, sd, races = 1000.0, 200.0, 0
+            line: dict[str, Any] = {}
             if state in RATED and fitted is not None:
-                at = fitted.index(entry.number)
-                elo, sd, races = float(fitted.elo[at]), float(fitted.sd[at]), int(fitted.races[at])
-                state = rated_state(sd)
+                line = fitted.line(fitted.index(entry.number), "elo", "sd", "races")
+                state = rated_state(line["sd"])
             roster.states[entry.number] = (state, reason)
             if state in ("retired", "refused"):
                 continue
             owner = "" if entry.anchor else entry.owner
-            one = Contender(entry.number, state, owner, elo, sd, races, entry.anchor)
+            one = Contender(entry.number, state, owner, anchor=entry.anchor, **line)
             roster.contenders.append(one)
             if state == "pending":
                 roster.newcomers.append(one)

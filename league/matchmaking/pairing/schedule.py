@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from league.errors import ConfigError
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.ratings.pair_counts import ELO
+from league.matchmaking.ratings.pair_counts import ELO, groups
 from league.matchmaking.ratings.table import PROVISIONAL_SD
 from league.matchmaking.store.records import RATED, EntryState
 
@@ -51,7 +49,6 @@ class Contender:
     entry: int
     """Its number."""
     state: EntryState
-    """Where it stands."""
     owner: str = ""
     """Its owner; entries without one ("") may meet any entry."""
     elo: float = 1000.0
@@ -73,7 +70,6 @@ class HeatPlan:
     grid: tuple[int, ...]
     """Entry numbers in random order."""
     tracks: tuple[str, ...]
-    """Track of each race."""
     rated: bool = True
     """Whether it counts for ratings."""
 
@@ -183,9 +179,8 @@ class _Grids:
             raise ConfigError("an entry stands twice in the standings: give each once")
         self.cars, self.generator = rules.cars, generator
         self.entries = np.array([one.entry for one in field])
-        self.elo = np.array([one.elo for one in field], dtype=float)
-        self.sd = np.array([one.sd for one in field], dtype=float)
-        self.races = np.array([one.races for one in field], dtype=float)
+        numbers = np.array([(one.elo, one.sd, one.races) for one in field], dtype=float)
+        self.elo, self.sd, self.races = numbers.T
         self.planned = np.zeros(len(field))  # races planned in this round
         self.anchor = np.array([one.anchor for one in field])
         owners: dict[str, int] = {}  # an entry without an owner gets a number of its own
@@ -317,6 +312,4 @@ def _groups(entries: np.ndarray, meetings: Meetings) -> np.ndarray:
     known = np.unique([*entries, *(entry for pair in meetings for entry in pair)])
     pairs = np.array([pair for pair, count in meetings.items() if count > 0], dtype=np.int64)
     one, other = np.searchsorted(known, pairs.reshape(-1, 2)).T
-    graph = sparse.coo_array((np.ones(len(one)), (one, other)), shape=(len(known), len(known)))
-    group = csgraph.connected_components(graph, directed=False)[1]
-    return group[np.searchsorted(known, entries)]
+    return groups(one, other, len(known))[np.searchsorted(known, entries)]

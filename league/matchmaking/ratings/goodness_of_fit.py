@@ -9,8 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse import csgraph
 from scipy.special import expit, gammaincc
 
 from league.matchmaking.ratings import pair_counts
@@ -84,7 +82,9 @@ def goodness_of_fit(
     residual = (points - expected) / np.sqrt(variance)
     judged = single >= LEAST_VARIANCE
     chi_square = float((residual[judged] ** 2).sum())
-    freedom = _freedom(counts.one[judged], counts.other[judged], counts.num_entries)
+    # Pairs less the strengths fitted to them: the entries less 1 in each group.
+    group = pair_counts.groups(counts.one[judged], counts.other[judged], counts.num_entries)
+    freedom = float(judged.sum() - (counts.num_entries - len(np.unique(group))))
     p_value = 1.0
     if freedom >= 1.0:
         # The square of a residual of n races has a variance a little below a Gaussian's 2; a
@@ -153,10 +153,3 @@ def _clusters(data: RatingData, ratings: Ratings) -> tuple[np.ndarray, np.ndarra
     if not len(starts):
         return key, beyond, room
     return key[starts] % size**2, np.add.reduceat(beyond, starts), np.add.reduceat(room, starts)
-
-
-def _freedom(one: np.ndarray, other: np.ndarray, size: int) -> float:
-    """Return pairs less the strengths fitted to them: the entries less 1 in each group."""
-    graph = sparse.coo_array((np.ones(len(one)), (one, other)), shape=(size, size))
-    groups = csgraph.connected_components(graph, directed=False)[0]
-    return float(len(one) - (size - groups))

@@ -124,6 +124,11 @@ class PairCounts:
         return self.num_entries + self.num_slots
 
     @cached_property
+    def met(self) -> np.ndarray:
+        """Entries that met others, ascending."""
+        return np.union1d(self.one, self.other)
+
+    @cached_property
     def pair(self) -> np.ndarray:
         """Pair of each cell, (cells,)."""
         cells = np.diff(np.append(self.starts, len(self.sides)))
@@ -133,10 +138,6 @@ class PairCounts:
     def _bounds(self) -> np.ndarray:
         """First pair of each one, and the end, (entries + 1,): the indptr of a CSR matrix."""
         return np.searchsorted(self.one, np.arange(self.num_entries + 1)).astype(np.int32)
-
-    @cached_property
-    def _columns(self) -> np.ndarray:
-        return self.other.astype(np.int32)
 
     @cached_property
     def _entry_sides(self) -> tuple[np.ndarray, np.ndarray]:
@@ -175,11 +176,7 @@ class PairCounts:
     def graph(self, values: np.ndarray) -> sparse.csr_array:
         """Return the pairs' values as a matrix by one and other: above its diagonal."""
         shape = (self.num_entries, self.num_entries)
-        return sparse.csr_array((values, self._columns, self._bounds), shape=shape)
-
-    def groups(self) -> np.ndarray:
-        """Return each entry's group; no chain of races leads from one group to another."""
-        return csgraph.connected_components(self.graph(np.ones(len(self.one))), directed=False)[1]
+        return sparse.csr_array((values, self.other, self._bounds), shape=shape)
 
     def points(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the pairs each entry was in and the points it made in them, (entries,) both."""
@@ -204,7 +201,6 @@ class RatingData:
     races: np.ndarray
     """Races each entry started in, (entries,)."""
     counts: PairCounts
-    """Counts of the pairs that met, by index."""
 
     @classmethod
     def of(cls, results: Results, extra: Iterable[int] = ()) -> RatingData:
@@ -247,6 +243,12 @@ class Slope:
 def score(places_one: np.ndarray, places_other: np.ndarray) -> np.ndarray:
     """Return the points of the one: 1, 0.5 for a tie, or 0."""
     return 0.5 + 0.5 * np.sign(places_other - places_one)
+
+
+def groups(one: np.ndarray, other: np.ndarray, size: int) -> np.ndarray:
+    """Return the group of each entry, (size,): no chain of pairs leads from one to another."""
+    graph = sparse.coo_array((np.ones(len(one)), (one, other)), shape=(size, size))
+    return csgraph.connected_components(graph, directed=False)[1]
 
 
 def slot_pairs(results: Results) -> list[tuple[int, int]]:

@@ -106,17 +106,13 @@ def compare(scores: np.ndarray, settings: SequentialSettings | None = None) -> C
     settings = settings or SequentialSettings()
     outcomes = 2 * settings.races_per_heat
     places = np.asarray(scores, dtype=float) * outcomes
-    if len(places) and (
-        not np.isfinite(places).all()
-        or np.abs(places - np.round(places)).max() > 1e-6
-        or places.min() < -1e-6
-        or places.max() > outcomes + 1e-6
-    ):
+    whole = np.round(places).clip(0, outcomes)
+    if not (np.abs(places - whole) <= 1e-6).all():
         raise ConfigError(
             f"scores of heats of {settings.races_per_heat} races must be multiples of "
             f"1/{outcomes} in [0, 1]: give the mean over a heat's races, a tie as 0.5"
         )
-    counts = np.bincount(np.round(places).astype(int), minlength=outcomes + 1).astype(float)
+    counts = np.bincount(whole.astype(int), minlength=outcomes + 1).astype(float)
     llr = ratio(counts, settings)
     lower, upper = settings.bounds
     decision: Decision = "undecided"

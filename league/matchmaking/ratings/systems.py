@@ -3,8 +3,9 @@
 H is the symmetric matrix of the negative log-posterior's second derivatives by strengths and
 slots. Variances come from it twice: H^-1, right if the model is, and the sandwich
 H^-1 (J + prior) H^-1, where J sums the outer products of whole heats' slopes and so allows for
-whatever makes the races of a heat, or the pairs of a race, alike. Small fields factor H; large
-ones solve with conjugate gradients and estimate diagonals from random probes.
+whatever makes the races of a heat, or the pairs of a race, alike. An entry that met no other stands
+alone in H, so only the others make a field large: small fields factor H; large ones solve with
+conjugate gradients and estimate diagonals from random probes.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from scipy.sparse.linalg import aslinearoperator, cg
 from league.matchmaking.ratings.pair_counts import PairCounts, Results, race_scores
 
 DENSE_MOST = 1500
-"""Entries up to which H is factored; beyond, the cube of the field is too slow."""
+"""Entries that met others up to which H is factored; beyond, the cube of these is too slow."""
 PROBES = 8
 """Random sign vectors in a batch."""
 BATCHES = 12
@@ -30,6 +31,8 @@ GAP_ERROR = 1e-2
 """Relative error of a difference's variance at most; that of its interval is half of it."""
 FEW = 0.1
 """Share of a vector's numbers up to which only the rows of those that are not 0 are read."""
+SMALL = 3e-3
+"""Share of a step's largest number below which the others are left out of the step."""
 PULL = 50.0
 """Heats an entry needs for its own scatter to count as much as the field's."""
 
@@ -83,10 +86,11 @@ class Squares:
         squares = np.bincount(self.scores.indices, self.scores.data**2, len(self.prior))
         return squares + self.prior
 
-    def table(self) -> np.ndarray:
-        """Return it as one dense table."""
-        entries = (self.scores.T.tocsr() @ self.scores).toarray() + np.diag(self.prior)
-        return np.block([[entries, self.border], [self.border.T, self.corner]])
+    def table(self, met: np.ndarray) -> np.ndarray:
+        """Return the rows and columns of some entries (indices) and of the slots, dense."""
+        scores, border = self.scores[:, met], self.border[met]
+        entries = (scores.T.tocsr() @ scores).toarray() + np.diag(self.prior[met])
+        return np.block([[entries, border], [border.T, self.corner]])
 
     def entries_times(self, vectors: np.ndarray) -> np.ndarray:
         """Return the product of the strengths' block with some columns, (entries, columns)."""
@@ -108,8 +112,8 @@ class Blocks:
         size = counts.num_entries
         ones, others = counts.by_entry_and_sides(weights)
         sides = ones.sum(axis=0)
-        self.met = counts.by_pair(weights)
-        ahead, behind = counts.by_entry(self.met)
+        self.between = counts.by_pair(weights)
+        ahead, behind = counts.by_entry(self.between)
         self.diagonal = prior[:size] + ahead + behind
         # The opponent's slot counts against the own one.
         self.border = (ones - others).sum(axis=2) - (ones - others).sum(axis=1)
@@ -121,24 +125,31 @@ class Blocks:
 def system(
     counts: PairCounts, weights: np.ndarray, prior: np.ndarray, *, dense_most: int = DENSE_MOST
 ) -> System:
-    """Return H in the form that suits the size of the field: factored up to `dense_most` entries.
+    """Return H in the form that suits the field: factored if up to `dense_most` entries met others.
 
     `weights` is the curvature of each cell, `prior` the precision of each parameter.
     """
-    suited = Dense if counts.num_entries <= dense_most else Sparse
+    suited = Dense if len(counts.met) <= dense_most else Sparse
     return suited(Blocks(counts, weights, prior))
 
 
 class Dense:
-    """H as a table, and its Cholesky factor."""
+    """H as a table of the entries that met others and the slots, and its Cholesky factor."""
 
     def __init__(self, blocks: Blocks) -> None:
-        counts, self._size = blocks.counts, blocks.counts.num_entries
-        table = np.zeros((counts.size, counts.size))
-        table[counts.other, counts.one] = -blocks.met  # only the lower triangle is read
-        table[self._size :, self._size :] = blocks.corner
-        table[self._size :, : self._size] = blocks.border.T
-        table[range(self._size), range(self._size)] += blocks.diagonal
+        counts = blocks.counts
+        met, self._num_met = counts.met, len(counts.met)
+        self._size, self.shape = counts.num_entries, (counts.size, counts.size)
+        self._rows = np.concatenate([met, np.arange(self._size, counts.size)])
+        """Parameters that the table holds; of the others H has nothing but its diagonal."""
+        self.diagonal = np.concatenate([blocks.diagonal, blocks.corner.diagonal()])
+        """Of H, (entries + slots,)."""
+        table = np.zeros((len(self._rows), len(self._rows)))
+        one, other = np.searchsorted(met, counts.one), np.searchsorted(met, counts.other)
+        table[other, one] = -blocks.between  # only the lower triangle is read
+        table[self._num_met :, self._num_met :] = blocks.corner
+        table[self._num_met :, : self._num_met] = blocks.border[met].T
+        np.fill_diagonal(table, self.diagonal[self._rows])
         self._factor = linalg.cho_factor(table, lower=True, overwrite_a=True, check_finite=False)
 
     @cached_property
@@ -146,58 +157,61 @@ class Dense:
         """The factor without what is not read above its diagonal."""
         return np.tril(self._factor[0])
 
-    @cached_property
-    def diagonal(self) -> np.ndarray:
-        """Of H, (entries + slots,)."""
-        return (self._lower**2).sum(axis=1)
-
     def matvec(self, vector: np.ndarray) -> np.ndarray:
         """Return H times a vector."""
-        return self._lower @ (self._lower.T @ vector)
+        product = self.diagonal * vector
+        product[self._rows] = self._lower @ (self._lower.T @ vector[self._rows])
+        return product
 
     def solve(self, right: np.ndarray, *, within: float = 1e-8) -> np.ndarray:
         """Return H^-1 right."""
-        return linalg.cho_solve(self._factor, right, check_finite=False)
+        solved = (right.T / self.diagonal).T
+        solved[self._rows] = linalg.cho_solve(self._factor, right[self._rows], check_finite=False)
+        return solved
 
     @cached_property
     def _inverse(self) -> np.ndarray:
-        """H^-1, of which only the lower triangle counts."""
+        """H^-1 by the table's rows, of which only the lower triangle counts."""
         (potri,) = linalg.get_lapack_funcs(("potri",), (self._factor[0],))
         return np.asarray(potri(self._factor[0], lower=1)[0])
 
     def mean_variance(self) -> tuple[float, float]:
-        """Return the mean diagonals of H^-1 and of its square over the entries."""
-        inner = np.tril(self._inverse[: self._size, : self._size])
+        """Return the mean diagonals of H^-1 and of its square over the entries that met others."""
+        inner = np.tril(self._inverse[: self._num_met, : self._num_met])
         diagonal = inner.diagonal()
         twice = 2.0 * float((inner**2).sum()) - float(diagonal @ diagonal)
-        return float(diagonal.mean()), twice / self._size
+        return float(diagonal.mean()), twice / self._num_met
 
     def diagonals(self, squares: Squares) -> tuple[np.ndarray, np.ndarray]:
         """Return the diagonals of H^-1 and of the sandwich over the entries."""
+        met = self._rows[: self._num_met]
+        model = 1.0 / self.diagonal[: self._size]
+        robust = model.copy()
         inverse = np.tril(self._inverse) + np.tril(self._inverse, -1).T
-        across = inverse @ squares.table()
-        robust = np.einsum("ij,ij->i", across[: self._size], inverse[: self._size])
-        return inverse.diagonal()[: self._size].copy(), robust
+        across = inverse @ squares.table(met)
+        model[met] = inverse.diagonal()[: len(met)]
+        robust[met] = np.einsum("ij,ij->i", across[: len(met)], inverse[: len(met)])
+        return model, robust
 
 
 class Sparse:
     """H as a sparse matrix with a narrow border, solved by conjugate gradients."""
 
     def __init__(self, blocks: Blocks) -> None:
-        self._above = blocks.counts.graph(blocks.met)
+        self._above = blocks.counts.graph(blocks.between)
         self._diagonal, self.border, self._corner = blocks.diagonal, blocks.border, blocks.corner
         self.prior = blocks.prior
+        self._num_met = len(blocks.counts.met)
+        self._probed = np.zeros((len(self._diagonal), 1))
+        """1 for entries that met others; the variance of all else is known, (entries, 1)."""
+        self._probed[blocks.counts.met] = 1.0
         self.diagonal = np.concatenate([self._diagonal, self._corner.diagonal()])
-        self.shape, self.dtype = (len(self.diagonal), len(self.diagonal)), np.dtype(float)
+        self.shape = len(self.diagonal), len(self.diagonal)
 
     @property
     def _level(self) -> float:
         """Variance of the field as a whole, the prior's."""
         return 1.0 / self.prior[0]
-
-    def _met(self, entries: np.ndarray) -> np.ndarray:
-        """Return the pairs' weights, in both triangles, times a vector or some columns."""
-        return self._above @ entries + self._above.T @ entries
 
     def both(self) -> sparse.csr_array:
         """Return the weights of the pairs that met in both triangles."""
@@ -206,6 +220,10 @@ class Sparse:
     def slots_of(self, entries: np.ndarray) -> np.ndarray:
         """Return corner^-1 border' times a vector of the strengths, (slots,)."""
         return np.linalg.solve(self._corner, self.border.T @ entries)
+
+    def _met(self, entries: np.ndarray) -> np.ndarray:
+        """Return the pairs' weights, in both triangles, times a vector or some columns."""
+        return self._above @ entries + self._above.T @ entries
 
     def matvec(self, vectors: np.ndarray) -> np.ndarray:
         """Return H times a vector or some columns."""
@@ -218,23 +236,32 @@ class Sparse:
         """Return H^-1 right."""
         scaling = sparse.diags_array(1.0 / self.diagonal)
         operator = aslinearoperator(self)
-        solved = [
-            cg(operator, column, rtol=within, maxiter=1000, M=scaling)[0]
-            for column in right.reshape(len(right), -1).T
-        ]
-        return np.stack(solved, axis=1).reshape(right.shape)
+        columns = right.reshape(len(right), -1)
+        solved = np.zeros_like(columns)
+        for k, column in enumerate(columns.T):
+            solved[:, k] = cg(operator, column, rtol=within, maxiter=1000, M=scaling)[0]
+        return solved.reshape(right.shape)
 
     def mean_variance(self) -> tuple[float, float]:
-        """Return the mean diagonals of H^-1 and of its square over the entries, by probes."""
-        if not self._above.nnz:  # no pair has met: the variance is the prior's, exactly
-            return self._level, self._level**2
+        """Return the mean diagonals of H^-1 and of its square over the entries that met others.
+
+        Of the level of the field, which is known exactly, probes see a little more or less. Where
+        races say little, variances are nearly equal, so that as much is missing from the rest of
+        the probes: it is put back, or it would hide what the races say.
+        """
         probes, solved = self._first_probes
-        level = self._level / len(probes)
-        rest = (probes * self._rest(probes, solved)).mean()
-        once = float(rest + (1.0 / self._diagonal).mean()) + level
-        # Of the square, the level is known exactly, too, and what probes see of it is left out.
-        apart = solved[: len(probes)] - self._level * probes.mean(axis=0)
-        return once, float((apart**2).mean()) + self._level * level
+        first, level = self._probed / self._diagonal[:, None], self._level / self._num_met
+        seen = self._probed * self._mean(probes)
+        # (probes - seen)^2 is 1 - 1 / num_met on average.
+        missing = first**2 / self._level * ((probes - seen) ** 2 - 1.0 + 1.0 / self._num_met)
+        rest = self._mean(probes * self._rest(probes, solved) - missing).mean()
+        once = float(rest + self._mean(first)[0]) + level
+        apart = solved[: len(probes)] - self._level * seen
+        return once, float(self._mean(apart**2).mean()) + self._level * level
+
+    def _mean(self, columns: np.ndarray) -> np.ndarray:
+        """Return the mean of each column over the entries that met others; all else in it is 0."""
+        return columns.sum(axis=0) / self._num_met
 
     def diagonals(self, squares: Squares) -> tuple[np.ndarray, np.ndarray]:
         """Return the diagonals of H^-1 and of the sandwich over the entries.
@@ -246,7 +273,7 @@ class Sparse:
         """
         size = len(self._diagonal)
         first = 1.0 / self._diagonal[:, None]
-        model = self._level / size + first[:, 0]
+        model = self._level / self._num_met * self._probed[:, 0] + first[:, 0]
         robust = model + first[:, 0] ** 2 * (squares.diagonal() - self._diagonal)
         generator = np.random.default_rng(0)  # the same signs at each fit: it is a pure function
         samples = np.zeros((2, size, 0))
@@ -274,7 +301,7 @@ class Sparse:
         return probes, self._solve_entries(probes)
 
     def _probes(self, generator: np.random.Generator) -> np.ndarray:
-        return generator.choice([-1.0, 1.0], size=(len(self._diagonal), PROBES))
+        return self._probed * generator.choice([-1.0, 1.0], size=(len(self._diagonal), PROBES))
 
     def _solve_entries(self, probes: np.ndarray) -> np.ndarray:
         slots = np.zeros((len(self._corner), PROBES))
@@ -283,7 +310,7 @@ class Sparse:
     def _rest(self, probes: np.ndarray, solved: np.ndarray) -> np.ndarray:
         """Return H^-1 probes less what is known of it in closed form."""
         first = 1.0 / self._diagonal[:, None]
-        known = first * probes + self._level * probes.mean(axis=0)
+        known = first * probes + self._level * self._mean(probes)
         near = first * self._met(first * probes)  # has nothing on its diagonal
         return solved[: len(probes)] - known - near
 
@@ -295,8 +322,9 @@ class Gaps:
     """Variances of differences between two strengths in a large field, one at a time.
 
     The right side is 0 but for two entries, and so are the first steps of conjugate gradients but
-    for their opponents, and those of these: only later steps read all pairs that met. Slots are
-    eliminated, H's Schur complement over the strengths is solved.
+    for their opponents, and nearly so for those of these, which are left out (`SMALL`): only later
+    steps read all pairs that met. Slots are eliminated, H's Schur complement over the strengths is
+    solved.
     """
 
     def __init__(self, system: Sparse, squares: Squares) -> None:
@@ -311,17 +339,19 @@ class Gaps:
         right = np.zeros(len(self._squares.prior))
         right[one] += 1.0
         right[other] -= 1.0
-        entries, squares = self._solved(right), self._squares
+        entries, variance = self._solved(right)
+        squares = self._squares
         slots = -self._system.slots_of(entries)
         robust = entries @ (_times(self._scattered, entries) + squares.prior * entries)
         robust += slots @ (2 * squares.border.T @ entries + squares.corner @ slots)
-        return float(right @ entries), float(robust)
+        return variance, float(robust)
 
-    def _solved(self, right: np.ndarray) -> np.ndarray:
-        """Return the strengths' part of H^-1 right, its variance right to `GAP_ERROR`.
+    def _solved(self, right: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the strengths' part of H^-1 right, and its variance, right to `GAP_ERROR`.
 
-        A residual r leaves out r' H^-1 r of the variance, at most |r|^2 / (least prior), because
-        races only add curvature.
+        Each step goes as far as its direction allows, whatever was left out of that. A residual r
+        leaves out r' H^-1 r of the variance, at most |r|^2 / (least prior), because races only add
+        curvature.
         """
         system, solved, residual, variance = self._system, np.zeros(len(right)), right.copy(), 0.0
         diagonal = system.diagonal[: len(right)]
@@ -330,14 +360,18 @@ class Gaps:
         while residual @ residual > GAP_ERROR * self._least * variance:
             met = _times(self._met, towards)
             curved = diagonal * towards - met - system.border @ system.slots_of(towards)
-            step = length / float(towards @ curved)
+            slope = float(residual @ towards)
+            step = slope / float(towards @ curved)
             solved += step * towards
             residual -= step * curved
-            variance += step * length
+            variance += step * slope
             scaled = residual / diagonal
             before, length = length, float(residual @ scaled)
             towards = scaled + length / before * towards
-        return solved
+            large = np.abs(towards) > SMALL * np.abs(towards).max()
+            if large.mean() <= FEW:
+                towards = np.where(large, towards, 0.0)
+        return solved, variance
 
 
 def _times(symmetric: sparse.csr_array, vector: np.ndarray) -> np.ndarray:
@@ -382,8 +416,7 @@ class Variances:
     def gaps(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Return the variances of strength differences between entries, given by index."""
         if isinstance(self._system, Dense):
-            right = np.zeros((self._squares.size, len(one)))
-            column = np.arange(len(one))
+            right, column = np.zeros((self._squares.size, len(one))), np.arange(len(one))
             np.add.at(right, (one, column), 1.0)
             np.add.at(right, (other, column), -1.0)
             model, robust = self._quadratic(right)

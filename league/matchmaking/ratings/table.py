@@ -84,13 +84,21 @@ class Posterior:
 
 
 @dataclass(frozen=True)
-class Ratings:
-    """Strengths of a field, all from one table of races."""
+class Strengths:
+    """Ratings, as far as what they promise depends on them."""
 
     entries: np.ndarray
     """Entry numbers, ascending, (entries,)."""
     elo: np.ndarray
     """Strength [Elo], the anchor's 1000; 400 more are ten times the odds, (entries,)."""
+    slot_advantages: np.ndarray
+    """What each grid slot is worth [Elo], 0 on average, slot 0 in front, (slots,)."""
+
+
+@dataclass(frozen=True)
+class Ratings(Strengths):
+    """Strengths of a field, all from one table of races."""
+
     sd: np.ndarray
     """Standard deviation of the place above or below the average of all others [Elo], (entries,).
 
@@ -106,14 +114,8 @@ class Ratings:
     """Cars met in them, (entries,)."""
     points: np.ndarray
     """Those of these it came in ahead of, ties half, (entries,)."""
-    provisional: np.ndarray
-    """True while sd is above 50, or the entry is not connected, (entries,)."""
     connected: np.ndarray
     """False where no chain of races leads to the anchor (or the largest group), (entries,)."""
-    one_sided: np.ndarray
-    """True for entries that raced and won, or lost, every pair: only the prior holds them."""
-    slot_advantages: np.ndarray
-    """What each grid slot is worth [Elo], 0 on average, slot 0 in front, (slots,)."""
     slot_sd: np.ndarray
     """Standard deviations of the slots' advantages [Elo], (slots,)."""
     prior_sd: float
@@ -159,6 +161,16 @@ class Ratings:
             high95=gap + SIGMAS_95 * sd,
             superiority=float(ndtr(gap / sd)) if sd > 0 else 0.5,
         )
+
+    @cached_property
+    def provisional(self) -> np.ndarray:
+        """True while sd is above 50, or the entry is not connected, (entries,)."""
+        return (self.sd > PROVISIONAL_SD) | ~self.connected
+
+    @property
+    def one_sided(self) -> np.ndarray:
+        """True for entries that raced and won, or lost, every pair: only the prior holds them."""
+        return (self.pairs > 0) & ((self.points == 0) | (self.points == self.pairs))
 
     @cached_property
     def listed_by(self) -> np.ndarray:

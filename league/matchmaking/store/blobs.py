@@ -11,7 +11,7 @@ from contextlib import suppress
 import sqlalchemy as sa
 
 from league.atomic_file import replacing
-from league.errors import StoreError
+from league.errors import StoreError, explaining
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store.schema import Change, Transactional, blobs
 
@@ -86,27 +86,19 @@ class FolderBlobs:
             with replacing(path, f"the file {digest[:12]}", StoreError) as file:
                 file.write_bytes(content)
             return digest
-        try:  # a bucket shows an object whole or not at all
-            self._files.pipe_file(path, content)
-        except (OSError, ValueError) as refusal:
-            reason = getattr(refusal, "strerror", None) or refusal
-            raise StoreError(
-                f"the file {digest[:12]} cannot be kept in {self._url} ({reason}): "
-                "give a place that can be written and has free space"
-            ) from refusal
+        failure = f"the file {digest[:12]} cannot be kept in {self._url}"
+        remedy = "give a place that can be written and has free space"
+        with explaining(failure, StoreError, remedy, ValueError):
+            self._files.pipe_file(path, content)  # a bucket shows an object whole or not at all
         return digest
 
     def get(self, digest: str) -> bytes:
         """Return the bytes with this SHA-256."""
-        try:
+        content = None
+        failure = f"the file {digest[:12]} cannot be read from {self._url}"
+        remedy = "check that the place can be reached"
+        with explaining(failure, StoreError, remedy), suppress(FileNotFoundError):
             content = self._files.cat_file(self._path(digest))
-        except FileNotFoundError:
-            content = None
-        except OSError as refusal:
-            raise StoreError(
-                f"the file {digest[:12]} cannot be read from {self._url} "
-                f"({refusal.strerror or refusal}): check that the place can be reached"
-            ) from refusal
         return _verified(content, digest, self._url)
 
     def _path(self, digest: str) -> str:

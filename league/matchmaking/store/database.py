@@ -13,6 +13,7 @@ import os
 import random
 import re
 import sqlite3
+import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import AbstractContextManager, contextmanager
@@ -71,6 +72,8 @@ class Database:
         self._clock = clock
         self._jitter = random.Random()
         self._pid = os.getpid()
+        self._shared = threading.local()
+        """Of each thread: the connection of `reading_at_once`, if it goes on."""
         try:
             self._engine = sa.create_engine(self.url, pool_pre_ping=not self.is_sqlite)
         except ModuleNotFoundError as missing:
@@ -89,11 +92,30 @@ class Database:
 
     def reading(self) -> AbstractContextManager[sa.Connection]:
         """Yield a connection that sees one state of the database throughout."""
+        shared: sa.Connection | None = getattr(self._shared, "connection", None)
+        if shared is not None:
+            return self._joined(shared)
         return self._begun(**({} if self.is_sqlite else {"isolation_level": "REPEATABLE READ"}))
+
+    @contextmanager
+    def reading_at_once(self) -> Generator[None]:
+        """Let all that this thread reads meanwhile see one state of the database."""
+        with self.reading() as connection:
+            before = getattr(self._shared, "connection", None)
+            self._shared.connection = connection
+            try:
+                yield
+            finally:
+                self._shared.connection = before
 
     def writing(self) -> AbstractContextManager[sa.Connection]:
         """Yield a connection; all its changes are on the disk when this ends without an error."""
         return self._begun(writes=True)
+
+    @contextmanager
+    def _joined(self, shared: sa.Connection) -> Generator[sa.Connection]:
+        with self._translated():
+            yield shared
 
     @contextmanager
     def _begun(self, **options: Any) -> Generator[sa.Connection]:  # noqa: ANN401

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import sqlalchemy as sa
 
-from league.errors import StoreError
+from league.errors import StoreError, explaining
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import integrity, race_table
 from league.matchmaking.store.database import Database
@@ -31,13 +31,9 @@ def create_tables(database: Database, name: str, ruleset: Ruleset, blobs: str) -
     if path is not None:
         if path.exists() and not path.is_file():
             raise StoreError(f"{database.shown} is a folder: give the name of a file")
-        try:
+        failure = f"the folder of {database.shown} cannot be made"
+        with explaining(failure, StoreError, "give a place that can be written"):
             path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as refusal:
-            raise StoreError(
-                f"the folder of {database.shown} cannot be made ({refusal.strerror}): "
-                "give a place that can be written"
-            ) from refusal
         database.use_wal()
     with changing(database, lock=True) as change:
         tables = set(sa.inspect(change.connection).get_table_names())

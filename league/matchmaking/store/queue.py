@@ -30,6 +30,13 @@ TRACEBACK_CHARS = 8000
 """The end of a traceback that is kept."""
 COPIED = tuple(name for name in HeatRecord.__dataclass_fields__ if name not in ("heat", "seeds"))
 """What a record has from its row as it is."""
+STATES = (
+    sa.select(heats.c.number, heats.c.state)
+    .join(heat_entries, heat_entries.c.heat == heats.c.number)
+    .where(heat_entries.c.entry == sa.bindparam("entry"))
+    .order_by(heats.c.number)
+)
+"""Selects the states of an entry's heats; made once, which takes as long as to ask."""
 
 
 class QueueStore(schema.Transactional):
@@ -201,6 +208,11 @@ class QueueStore(schema.Transactional):
         for entry in entries:
             match &= heats.c.number.in_(of_entry(entry))
         return self._heats(match, limit, newest=newest)
+
+    def heat_states(self, entry: int) -> dict[int, HeatState]:
+        """Return the states of all heats of an entry (its number), by number, the oldest first."""
+        with self._database.reading() as connection:
+            return {number: state for number, state in connection.execute(STATES, {"entry": entry})}
 
     def heats_by_key(self, keys: Sequence[str]) -> list[HeatRecord]:
         """Return those of some heats that are known, by number."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import AbstractContextManager, closing
 from dataclasses import replace
 from typing import Any, Self
 
@@ -123,6 +123,10 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         return Tokens(self._database)
 
     # What happened
+
+    def at_once(self) -> AbstractContextManager[None]:
+        """Let all that this thread reads meanwhile see the league at one moment, and sooner."""
+        return self._database.reading_at_once()
 
     def done(self, *, entry: int | None, skip: int, limit: int) -> list[records.HeatRecord]:
         """Return up to `limit` heats that are done, of all or one entry (its number).
@@ -245,6 +249,15 @@ class SeasonView(Store):
     def counts(self) -> dict[records.HeatState, int]:
         """Return how many heats of the season are done."""
         return {"done": self.num_done()}
+
+    def heat_states(self, entry: int) -> dict[int, records.HeatState]:
+        """Return the states of an entry's heats of the season; see QueueStore.heat_states."""
+        within = range(self.season.after + 1, (self.season.until or 0) + 1)
+        return {
+            number: state
+            for number, state in super().heat_states(entry).items()
+            if number in within
+        }
 
     def drives(self, ruleset: str, *, since: int = 0) -> records.Drives:
         """Return how each car drove up to the end of the season; see Store.drives."""

@@ -14,12 +14,9 @@ from league.sim.camera.tables import Floor, Room
 from league.track import markings
 from league.track.track import Track
 
-LEVELS = 5
-"""Textures of one floor; each has half the resolution of the one before."""
-BLUR = 1.6
-"""How many texels lie side by side in one pixel at most; more would flicker."""
-MAX_TEXELS = 6_000_000
-"""Largest texture; the floor of a larger room is painted coarser."""
+LEVELS = 5  # textures of one floor; each has half the resolution of the one before
+BLUR = 1.6  # how many texels lie side by side in one pixel at most; more would flicker
+MAX_TEXELS = 6_000_000  # largest texture; the floor of a larger room is painted coarser
 
 _FINEST = ((40, 0.02), (240, 0.01), (10**9, 0.005))
 _WALL_NORMALS = ((0.0, 1.0), (-1.0, 0.0), (0.0, -1.0), (1.0, 0.0))

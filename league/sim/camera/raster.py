@@ -1,11 +1,8 @@
-"""Compiled painting: walls and things as convex polygons; the floor is in floor_raster.py.
+"""Compiled painting: walls and things as convex polygons; the floor is in painting.py.
 
 A pixel belongs to a polygon if its centre lies inside: neighbours share no pixel and leave none
 out.
 """
-
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 
 import math
 
@@ -14,19 +11,7 @@ from numba import uint8
 
 from league.jit import inner, spliced
 from league.portable_math import f32, sincos
-from league.sim.camera.tables import (
-    ACROSS,
-    ALONG,
-    COS,
-    MODEL,
-    MOST_CORNERS,
-    SHADE,
-    SIN,
-    STEERING,
-    UPWARD,
-    X,
-    Y,
-)
+from league.sim.camera import tables
 
 # Pixels --------------------------------------------------------------------------------------
 
@@ -99,18 +84,11 @@ def _polygon(pictures, eye, points, count, colour, optics, scratch):
 
 @spliced
 def draw_room(pictures, optics, view, room, things, far, models):
-    """Draw the walls round a room, then the things in it, far to near.
+    """Draw the walls round a room, then the things in it, far to near; see painting.paint.
 
-    Args:
-        pictures: (num_eyes, height, width * channels) uint8, the floor and the sky already there.
-        optics: the lens.
-        view: where the camera is.
-        room: the walls.
-        things: (num_things, THING_COLUMNS).
-        far: things farther than this become what they are when far [m].
-        models: the shapes.
+    Pictures are (num_eyes, height, width * channels) uint8, the floor and the sky already there.
     """
-    scratch = np.empty((2 * MOST_CORNERS, 2)), np.empty((pictures.shape[1], 2))
+    scratch = np.empty((2 * tables.MOST_CORNERS, 2)), np.empty((pictures.shape[1], 2))
     _walls(pictures, optics, view, room, scratch)
     feet = np.empty((len(things), 6))
     chosen = np.empty(len(things), np.int64)
@@ -163,7 +141,7 @@ def _lit(colour, light, facing):
     """Write the colour of a face that the sun meets at an angle of this cosine."""
     for channel in range(3):
         full = light[channel] + max(facing, 0.0) * light[3 + channel]
-        colour[channel] = uint8(min(full + 0.5, 255.0))
+        colour[channel] = uint8(min(full + 0.5, 255.0))  # type: ignore
 
 
 # Things --------------------------------------------------------------------------------------
@@ -175,13 +153,13 @@ def _stand(foot, thing, view, optics, slope, models):
 
     A footprint is x ahead, y to the left, cosine and sine of its turn, half length and half width.
     """
-    dx, dy = thing[X] - view.x, thing[Y] - view.y
+    dx, dy = thing[tables.X] - view.x, thing[tables.Y] - view.y
     x, y = view.cos * dx + view.sin * dy, view.cos * dy - view.sin * dx
-    size = models.sizes[int(thing[MODEL])]
-    half_length, half_width = size[0] * thing[ALONG], size[1] * thing[ACROSS]
+    size = models.sizes[int(thing[tables.MODEL])]
+    half_length, half_width = size[0] * thing[tables.ALONG], size[1] * thing[tables.ACROSS]
     foot[0], foot[1] = x, y
-    foot[2] = thing[COS] * view.cos + thing[SIN] * view.sin
-    foot[3] = thing[SIN] * view.cos - thing[COS] * view.sin
+    foot[2] = thing[tables.COS] * view.cos + thing[tables.SIN] * view.sin
+    foot[3] = thing[tables.SIN] * view.cos - thing[tables.COS] * view.sin
     foot[4], foot[5] = half_length, half_width
     reach = half_length + half_width
     depth = x * view.pitch_cos + view.z * view.pitch_sin
@@ -195,7 +173,7 @@ def _stand(foot, thing, view, optics, slope, models):
 @spliced
 def _thing(pictures, optics, view, thing, foot, far, models, scratch):
     """Draw one thing: for each eye its solids, far to near, and of each the faces turned to it."""
-    model = int(thing[MODEL])
+    model = int(thing[tables.MODEL])
     if foot[0] * foot[0] + foot[1] * foot[1] > far * far:
         model = models.models[model, 2]
     first, last = models.models[model, 0], models.models[model, 1]
@@ -203,19 +181,19 @@ def _thing(pictures, optics, view, thing, foot, far, models, scratch):
     place = np.empty((models.solids[last - 1, 1] - base, 3))
     for solid in range(first, last):
         _project(place, base, solid, thing, foot, view, models)
-    points, colour = np.empty((MOST_CORNERS, 3)), np.empty(3, np.uint8)
+    points, colour = np.empty((tables.MOST_CORNERS, 3)), np.empty(3, np.uint8)
     for eye, shift in enumerate(optics.eyes):
         # The eye in the frame of the unstretched model.
         dx = shift * view.roll_sin * view.pitch_sin - foot[0]
         dy = shift * view.roll_cos - foot[1]
-        ahead = (foot[2] * dx + foot[3] * dy) / thing[ALONG]
-        left = (foot[2] * dy - foot[3] * dx) / thing[ACROSS]
-        up = (view.z + shift * view.roll_sin * view.pitch_cos) / thing[UPWARD]
+        ahead = (foot[2] * dx + foot[3] * dy) / thing[tables.ALONG]
+        left = (foot[2] * dy - foot[3] * dx) / thing[tables.ACROSS]
+        up = (view.z + shift * view.roll_sin * view.pitch_cos) / thing[tables.UPWARD]
         for number in _order(first, last, ahead, left, up, models):
             solid = first + number
-            eye_x, eye_y, sun_cos, sun_sin = ahead, left, thing[COS], thing[SIN]
+            eye_x, eye_y, sun_cos, sun_sin = ahead, left, thing[tables.COS], thing[tables.SIN]
             if models.solids[solid, 4]:
-                sin, cos = sincos(f32(thing[STEERING]))
+                sin, cos = sincos(f32(thing[tables.STEERING]))
                 dx, dy = ahead - models.pivots[solid, 0], left - models.pivots[solid, 1]
                 eye_x, eye_y = cos * dx + sin * dy, cos * dy - sin * dx
                 sun_cos, sun_sin = cos * sun_cos - sin * sun_sin, sin * sun_cos + cos * sun_sin
@@ -227,7 +205,7 @@ def _thing(pictures, optics, view, thing, foot, far, models, scratch):
                     continue
                 facing = plane[0] * sun_x + plane[1] * sun_y + plane[2] * models.sun[2]
                 paint = models.faces[face, 2]
-                light = thing[SHADE:] if paint < 0 else models.paints[paint]
+                light = thing[tables.SHADE :] if paint < 0 else models.paints[paint]
                 _lit(colour, light, facing)
                 count = models.faces[face, 1] - models.faces[face, 0]
                 for k in range(count):
@@ -241,14 +219,15 @@ def _thing(pictures, optics, view, thing, foot, far, models, scratch):
 def _project(place, base, solid, thing, foot, view, models):
     """Write the vertices of a solid as X, Y, Z of the camera's frame."""
     steered = models.solids[solid, 4] != 0
-    sin, cos = sincos(f32(thing[STEERING]))
+    sin, cos = sincos(f32(thing[tables.STEERING]))
     for vertex in range(models.solids[solid, 0], models.solids[solid, 1]):
         row = models.vertices[vertex]
         x, y = row[0], row[1]
         if steered:
             x, y = cos * x - sin * y, sin * x + cos * y
             x, y = x + models.pivots[solid, 0], y + models.pivots[solid, 1]
-        x, y, up = x * thing[ALONG], y * thing[ACROSS], row[2] * thing[UPWARD] - view.z
+        x, y = x * thing[tables.ALONG], y * thing[tables.ACROSS]
+        up = row[2] * thing[tables.UPWARD] - view.z
         ahead = foot[0] + foot[2] * x - foot[3] * y
         _see(place[vertex - base], ahead, foot[1] + foot[3] * x + foot[2] * y, up, view)
 

@@ -18,8 +18,6 @@ from league.sim.camera.renderer import Renderer
 from league.sim.camera.scene_state import NEAR, SceneState, mount_of
 from league.sim.camera.tables import Floor
 from league.sim.camera.visual_randomization import Look
-from league.sim.config import CameraConfig, SimConfig, VisualRandomization
-from league.track.track import TrackSet
 
 _FAR = 1e9
 _PIXELS_AT_ONCE = {"cpu": 1 << 20, "cuda": 1 << 25}
@@ -64,32 +62,19 @@ class _Body:
     """One car or box in each world, in the frame of the camera's yaw; (num_rows,) each."""
 
     model: scene.Model
-    pose: tuple[Tensor, Tensor, Tensor, Tensor]
-    """x, y [m], cosine and sine of the yaw."""
-    sun: tuple[Tensor, Tensor]
-    """The sun's direction in the body's own frame."""
-    steering: tuple[Tensor, Tensor]
-    """Cosine and sine."""
-    scale: tuple[Tensor, Tensor, Tensor]
-    """Stretch of the model ahead, to the side and upwards."""
-    colour: Tensor
-    """(num_rows, 3)."""
+    pose: tuple[Tensor, Tensor, Tensor, Tensor]  # x, y [m], cosine and sine of the yaw
+    sun: tuple[Tensor, Tensor]  # the sun's direction in the body's own frame
+    steering: tuple[Tensor, Tensor]  # cosine and sine
+    scale: tuple[Tensor, Tensor, Tensor]  # stretch of the model ahead, to the side and upwards
+    colour: Tensor  # (num_rows, 3)
 
 
 class RayRenderer(Renderer):
     """Casts the rays of many worlds at once, on a device."""
 
-    def __init__(
-        self,
-        tracks: TrackSet,
-        sim: SimConfig,
-        camera: CameraConfig,
-        looks: VisualRandomization | None = None,
-        *,
-        device: str = "cpu",
-    ) -> None:
-        """Work out the lens; the rays are cast on `device`, where the pictures stay."""
-        super().__init__(tracks, sim, camera, looks)
+    def __init__(self, *arguments: Any, device: str = "cpu") -> None:  # noqa: ANN401
+        """See Renderer; the rays are cast on `device`, where the pictures stay."""
+        super().__init__(*arguments)
         self._device = torch.device(device)
         self._textures: dict[int, list[Tensor]] = {}
 
@@ -103,39 +88,30 @@ class RayRenderer(Renderer):
         for start in range(0, len(state.track), size):
             part = slice(start, min(start + size, len(state.track)))
             tracks = state.track[part].tolist()
-            pictures[part] = self._render(tracks, poses[part], things[part], look, part)
+            views = self._tensor(poses[part])
+            pictures[part] = self._render(tracks, views, things[part], look, part)
         # On another device pictures stay there, for the learner that reads them.
         return pictures.numpy() if self._device.type == "cpu" else pictures  # type: ignore[return-value]
 
     def _render(
-        self,
-        tracks: list[int],
-        places: np.ndarray,
-        things: np.ndarray,
-        look: Look | None,
-        part: slice,
+        self, tracks: list[int], poses: Tensor, things: np.ndarray, look: Look | None, part: slice
     ) -> Tensor:
         """Return the pictures of a part of the rows, from its tracks and tables."""
-        cfg, poses = self._camera, self._tensor(places)
         rays = self._rays(poses)
         depth, pictures = self._room(tracks, poses, rays)
         for slot in range(things.shape[1]):
             body = self._body(poses, things[:, slot])
+            x, y = body.pose[:2]
+            is_far = torch.sqrt(x * x + y * y) > scene.far_from(self._lens.focal)
+            shown = [(body, torch.ones_like(is_far))]
             if body.model is scene.CAR:
-                x, y = body.pose[:2]
-                distance = torch.sqrt(x * x + y * y)
-                is_far = distance > scene.far_from(self._lens.focal)
-                for model, mask in ((scene.CAR, ~is_far), (scene.FAR_CAR, is_far)):
-                    depth, pictures = self._meet(
-                        rays, replace(body, model=model), mask, depth, pictures
-                    )
-            else:
-                mask = torch.ones_like(body.pose[0], dtype=torch.bool)
-                depth, pictures = self._meet(rays, body, mask, depth, pictures)
+                shown = [(body, ~is_far), (replace(body, model=scene.FAR_CAR), is_far)]
+            for seen, mask in shown:
+                depth, pictures = self._meet(rays, seen, mask, depth, pictures)
         if look is not None:
             pictures = self._developed(pictures, look, part)
         # (rows, eyes, height, width, channels) -> (rows, eyes * channels, height, width)
-        pictures = pictures.permute(0, 1, 4, 2, 3).reshape(-1, *cfg.shape)
+        pictures = pictures.permute(0, 1, 4, 2, 3).reshape(-1, *self._camera.shape)
         return torch.clamp(torch.floor(pictures + 0.5), 0, 255).to(torch.uint8)
 
     def _tensor(self, values: Sequence[Any] | np.ndarray) -> Tensor:

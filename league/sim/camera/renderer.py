@@ -14,35 +14,19 @@ from functools import cache, cached_property
 import cv2
 import numpy as np
 
-from league.sim.camera import painting, visual_randomization
+from league.sim.camera import painting, scene, visual_randomization
 from league.sim.camera.ground import floor_of
-from league.sim.camera.scene import (
-    CAR,
-    FAR_CAR,
-    HIDDEN,
-    MODELS,
-    PAINTS,
-    RUBBER,
-    SKY_COLOUR,
-    SUN,
-    Solid,
-    far_from,
-    lit,
-    luma,
-)
-from league.sim.camera.scene_state import NEAR, Lens, SceneState, Thing, mount_of, table
-from league.sim.camera.tables import MOST_CORNERS, Floor, Models, Mount, Optics, Pose
+from league.sim.camera.scene_state import NEAR, Lens, SceneState, mount_of
+from league.sim.camera.tables import MOST_CORNERS, Floor, Models, Optics
 from league.sim.camera.visual_randomization import Look
 from league.sim.config import CameraConfig, SimConfig, VisualRandomization
 from league.sim.records import World
 from league.track.track import Rgb, TrackSet
 
-_WHEN_FAR = {CAR: FAR_CAR}
+_WHEN_FAR = {scene.CAR: scene.FAR_CAR}
 _MAX_STEERING = math.radians(30)
-_TOUCH = 1e-6
-"""Solids nearer than this touch each other [m]."""
-_FLAT_RUBBER = len(PAINTS)
-"""The paint of a wheel's tread: round, so no one light fits it."""
+_TOUCH = 1e-6  # solids nearer than this touch each other [m]
+_FLAT_RUBBER = len(scene.PAINTS)  # the paint of a wheel's tread: round, so no one light fits it
 
 
 class Renderer(ABC):
@@ -57,12 +41,12 @@ class Renderer(ABC):
         sim: SimConfig,
         camera: CameraConfig,
         looks: VisualRandomization | None = None,
-        sky: Rgb = SKY_COLOUR,
+        sky: Rgb = scene.SKY_COLOUR,
     ) -> None:
         """Work out the lens; `looks` randomises the pictures, `sky` is above the walls."""
         self._sky = sky
         self._tracks, self._sim, self._camera = tracks, sim, camera
-        self._looks = None if looks is None or looks.is_plain else looks
+        self._looks = None if looks in (None, VisualRandomization()) else looks
         self._lens = Lens.of(camera)
         self._floors: dict[int, Floor] = {}
 
@@ -97,18 +81,14 @@ class PaintRenderer(Renderer):
         cv2.setNumThreads(1)
         return Painter(self._lens, gray=not self._camera.colour, sky=self._sky)
 
-    @cached_property
-    def _mount(self) -> Mount:
-        return mount_of(self._camera)
-
     def _draw(self, state: SceneState, car: int, look: Look | None) -> np.ndarray:
         cfg, painter = self._camera, self._painter
-        poses, things = state.tables(car, self._mount, gray=not cfg.colour)
+        poses, things = state.tables(car, mount_of(cfg), gray=not cfg.colour)
         shape = (len(poses), cfg.num_eyes, cfg.height, cfg.width)
         pictures = np.empty((*shape, 3) if cfg.colour else shape, np.uint8)
         for track in set(state.track.tolist()):
             rows = np.flatnonzero(state.track == track)
-            painter.paint_rows(rows, pictures, poses, things, self._floor(track))
+            painter.paint(rows, pictures, poses, things, self._floor(track))
         if look is not None:
             for row, picture in enumerate(pictures):
                 visual_randomization.develop(picture, look, row)
@@ -121,32 +101,16 @@ class PaintRenderer(Renderer):
 class Painter:
     """Draws what a lens sees; knows the lens and nothing that changes."""
 
-    def __init__(self, lens: Lens, gray: bool, sky: Rgb = SKY_COLOUR) -> None:
-        self._lens, self._gray = lens, gray
+    def __init__(self, lens: Lens, gray: bool, sky: Rgb = scene.SKY_COLOUR) -> None:
+        self._lens = lens
         channels = 1 if gray else 3
         self._optics = Optics(lens.focal, lens.cx, lens.cy, np.array(lens.eyes), channels, NEAR)
-        shown = np.array([luma(sky)] if gray else sky)
+        shown = np.array([scene.luma(sky)] if gray else sky)
         self._sky = np.tile(shown.astype(np.uint8), lens.width)
         self._models = models(gray)
-        self._far = far_from(lens.focal)
+        self._far = scene.far_from(lens.focal)
 
     def paint(
-        self,
-        pictures: np.ndarray,
-        pose: Pose,
-        floor: Floor,
-        things: list[Thing],
-        phases: int = painting.FLOOR | painting.ROOM,
-    ) -> int:
-        """Draw over (num_eyes, height, width) or (..., 3) pictures, uint8, contiguous.
-
-        `phases` is which parts to draw. The row of the farthest floor is returned.
-        """
-        seen = table(things, gray=self._gray)[None]
-        only = np.zeros(1, np.int64)
-        return self.paint_rows(only, pictures[None], np.array([pose]), seen, floor, phases)
-
-    def paint_rows(
         self,
         rows: np.ndarray,
         pictures: np.ndarray,
@@ -155,26 +119,20 @@ class Painter:
         floor: Floor,
         phases: int = painting.FLOOR | painting.ROOM,
     ) -> int:
-        """Draw the pictures of some worlds on one track; see painting.paint."""
+        """Draw over the pictures of some worlds on one track; see painting.paint.
+
+        They are uint8, contiguous, (num_pictures, num_eyes, height, width) or (..., 3). The row of
+        the farthest floor is returned.
+        """
         flat = pictures.reshape(*pictures.shape[:2], self._lens.height, -1)
-        return painting.paint(
-            phases,
-            rows,
-            flat,
-            poses,
-            things,
-            floor,
-            self._sky,
-            self._optics,
-            self._far,
-            self._models,
-        )
+        own = self._sky, self._optics, self._far, self._models
+        return painting.paint(phases, rows, flat, poses, things, floor, *own)
 
 
 @cache
 def models(gray: bool) -> Models:
     """Return the tables of every model, for gray pictures or for RGB."""
-    solids = [solid for model in MODELS for solid in model.solids]
+    solids = [solid for model in scene.MODELS for solid in model.solids]
     assert max(len(face) for solid in solids for face in solid.faces) <= MOST_CORNERS
     vertices = np.concatenate([solid.vertices for solid in solids])
     first_vertex = np.cumsum([0, *(len(solid.vertices) for solid in solids)])
@@ -182,17 +140,17 @@ def models(gray: bool) -> Models:
     for solid, start in zip(solids, first_vertex.tolist(), strict=False):
         first_face = len(faces)
         for number, (face, paint) in enumerate(zip(solid.faces, solid.paints, strict=True)):
-            if paint == HIDDEN:
+            if paint == scene.HIDDEN:
                 continue
-            flat = solid.rounded and paint >= 0 and PAINTS[paint] == RUBBER
+            flat = solid.rounded and paint >= 0 and scene.PAINTS[paint] == scene.RUBBER
             faces.append((len(corners), len(corners) + len(face), _FLAT_RUBBER if flat else paint))
             corners += [start + vertex for vertex in face]
             planes.append(solid.planes[number])
         stop = start + len(solid.vertices)
         rows.append((start, stop, first_face, len(faces), int(solid.pivot is not None)))
-    first_solid = np.cumsum([0, *(len(model.solids) for model in MODELS)]).tolist()
-    when_far = [MODELS.index(_WHEN_FAR.get(model, model)) for model in MODELS]
-    flat_rubber = (luma(RUBBER), 0.0, 0.0) if gray else RUBBER
+    first_solid = np.cumsum([0, *(len(model.solids) for model in scene.MODELS)]).tolist()
+    when_far = [scene.MODELS.index(_WHEN_FAR.get(model, model)) for model in scene.MODELS]
+    flat_rubber = (scene.luma(scene.RUBBER), 0.0, 0.0) if gray else scene.RUBBER
     return Models(
         vertices=vertices,
         corners=np.array(corners),
@@ -202,17 +160,17 @@ def models(gray: bool) -> Models:
         pivots=np.array([solid.pivot or (0.0, 0.0) for solid in solids]),
         parting=_parting(),
         models=np.array(list(zip(first_solid[:-1], first_solid[1:], when_far, strict=True))),
-        sizes=np.array([(model.half_length, model.half_width) for model in MODELS]),
-        paints=np.array([*lit(PAINTS, gray), (*flat_rubber, 0.0, 0.0, 0.0)]),
-        sun=np.array(SUN),
+        sizes=np.array([(model.half_length, model.half_width) for model in scene.MODELS]),
+        paints=np.array([*scene.lit(scene.PAINTS, gray), (*flat_rubber, 0.0, 0.0, 0.0)]),
+        sun=np.array(scene.SUN),
     )
 
 
 def _parting() -> np.ndarray:
     """Return the planes that part the solids of each model; see Models.parting."""
-    most = max(len(model.solids) for model in MODELS)
+    most = max(len(model.solids) for model in scene.MODELS)
     tables = []
-    for model in MODELS:
+    for model in scene.MODELS:
         # Faces of solids that are not steered: they stand where they stand.
         planes = [solid.planes for solid in model.solids if solid.pivot is None]
         both = np.concatenate([*planes, *(-one for one in planes)])
@@ -252,7 +210,7 @@ def _part(
     _part(rows, beyond, planes, low, high)
 
 
-def _along(planes: np.ndarray, solid: Solid) -> tuple[np.ndarray, np.ndarray]:
+def _along(planes: np.ndarray, solid: scene.Solid) -> tuple[np.ndarray, np.ndarray]:
     """Return the least and the greatest n . p - d of a solid's vertices for each plane."""
     points = solid.vertices
     if solid.pivot is not None:

@@ -41,8 +41,7 @@ RIM: Rgb = (140, 145, 152)
 CHASSIS: Rgb = (48, 51, 56)
 GLASS: Rgb = (34, 42, 54)
 
-WALL_HEIGHT = 1.0
-"""Height of the wall round the room [m]."""
+WALL_HEIGHT = 1.0  # height of the wall round the room [m]
 
 WHEEL_RADIUS = 0.036
 WHEEL_WIDTH = 0.034
@@ -52,10 +51,8 @@ WHEEL_Y = 0.080
 
 _SUN = (0.5, -0.1, 0.9)  # where the light comes from
 _SUN_LENGTH = math.sqrt(sum(part * part for part in _SUN))
-SUN = tuple(part / _SUN_LENGTH for part in _SUN)
-"""Unit vector towards the sun, world frame."""
-AMBIENT = 0.74
-"""Share of a colour that a face turned from the sun shows."""
+SUN = tuple(part / _SUN_LENGTH for part in _SUN)  # unit vector towards the sun, world frame
+AMBIENT = 0.74  # share of a colour that a face turned from the sun shows
 DIFFUSE = (0.31, 0.31, 0.26)
 """What a face turned to the sun adds, for red, green and blue (a warm sun)."""
 LUMA = (0.299, 0.587, 0.114)
@@ -68,16 +65,13 @@ BODY, HIDDEN = -1, -2
 class Solid:
     """A convex solid with flat faces."""
 
-    vertices: np.ndarray
-    """(num_vertices, 3) float64."""
-    faces: tuple[tuple[int, ...], ...]
-    """Vertices of each face, in order round it."""
-    paints: tuple[int, ...]
-    """Paint of each face: an index into PAINTS, BODY or HIDDEN."""
+    vertices: np.ndarray  # (num_vertices, 3) float64
+    faces: tuple[tuple[int, ...], ...]  # vertices of each face, in order round it
+    paints: tuple[int, ...]  # paint of each face: an index into PAINTS, BODY or HIDDEN
+    # where a steered wheel turns; its vertices are then relative to this point
     pivot: tuple[float, float] | None = None
-    """Where a steered wheel turns; its vertices are then relative to this point."""
+    # a wheel: its tread is one colour, so its outline can be filled in one go
     rounded: bool = False
-    """A wheel: its tread is one colour, so its outline can be filled in one go."""
 
     @cached_property
     def planes(self) -> np.ndarray:
@@ -94,8 +88,7 @@ class Solid:
         return np.round(rows, 9)
 
 
-PAINTS: tuple[Rgb, ...] = (RUBBER, RIM, CHASSIS, GLASS)
-"""Colours that all cars share."""
+PAINTS: tuple[Rgb, ...] = (RUBBER, RIM, CHASSIS, GLASS)  # colours that all cars share
 _RUBBER, _RIM, _CHASSIS, _GLASS = range(4)
 
 _HEXAHEDRON = (
@@ -152,8 +145,7 @@ def _wheel(x: float, y: float, steered: bool) -> Solid:
     )
 
 
-DECK = 0.0745
-"""Height where the shell of a car begins, just above its wheels [m]."""
+DECK = 0.0745  # height where the shell of a car begins, just above its wheels [m]
 
 ROOF = (0.058, 0.0, 1.0, 0.1085)
 """Plane of the shell's top, which falls towards the nose: n . p = d."""
@@ -185,10 +177,8 @@ class Model:
     """A thing as one or more solids."""
 
     solids: tuple[Solid, ...]
-    half_length: float
-    """Of the footprint, used to find what hides what [m]."""
-    half_width: float
-    """[m]."""
+    half_length: float  # of the footprint, used to find what hides what [m]
+    half_width: float  # [m]
 
 
 CAR = Model((_CHASSIS_BLOCK, *_WHEELS, SHELL, CABIN), 0.162, 0.098)

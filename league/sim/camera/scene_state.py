@@ -8,11 +8,11 @@ is drawn upright on the floor.
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
-from league.portable_math import direction
+from league.jit import compiled, inner
+from league.portable_math import direction, f32, sincos
 from league.sim.camera import tables
 from league.sim.camera.scene import (
     BOT_COLOUR,
@@ -21,33 +21,28 @@ from league.sim.camera.scene import (
     CAR,
     CAR_COLOURS,
     MODELS,
-    Model,
     faded,
     lit,
 )
-from league.sim.camera.standing import stand
-from league.sim.camera.tables import Mount, Pose
+from league.sim.camera.tables import THING_COLUMNS, Mount, Pose
 from league.sim.config import CameraConfig, SimConfig
+from league.sim.physics.vehicle import frozen
 from league.sim.records import World
 
-NEAR = 0.02
-"""Nothing nearer to a camera's plane than this is seen [m]."""
-MIN_HEIGHT = 0.01
-"""No eye of a camera sinks lower than this above the floor [m]."""
+f64 = np.float64
+
+NEAR = 0.02  # nothing nearer to a camera's plane than this is seen [m]
+MIN_HEIGHT = 0.01  # no eye of a camera sinks lower than this above the floor [m]
 
 
 @dataclass(frozen=True)
 class Lens:
     """A pinhole, or two side by side with parallel axes."""
 
-    width: int
-    """Pixels across."""
-    height: int
-    """Pixels down."""
-    focal: float
-    """Focal length [px]."""
-    eyes: tuple[float, ...] = (0.0,)
-    """How far each eye sits to the left of the middle [m]."""
+    width: int  # pixels across
+    height: int  # pixels down
+    focal: float  # focal length [px]
+    eyes: tuple[float, ...] = (0.0,)  # how far each eye sits to the left of the middle [m]
 
     @classmethod
     def of(cls, cfg: CameraConfig) -> "Lens":
@@ -79,25 +74,6 @@ class Lens:
         return height / fall if fall > 0 else math.inf
 
 
-class Thing(NamedTuple):
-    """A car or a box as it stands in the world."""
-
-    model: Model
-    """CAR or BOX."""
-    x: float
-    y: float
-    """World frame [m]."""
-    cos: float
-    sin: float
-    """Cosine and sine of the yaw."""
-    steering: float
-    """Angle of the front wheels [rad]."""
-    colour: tuple[float, float, float]
-    """Colour of the body, sRGB 0-255."""
-    scale: tuple[float, float, float]
-    """Stretch of the model ahead, to the side and upwards."""
-
-
 class SceneState:
     """Some worlds of a batch, ready to be looked at from any car."""
 
@@ -115,10 +91,8 @@ class SceneState:
         self.num_cars = world.num_cars
         self.track = world.track if rows is None else world.track[rows]
         """Row of the TrackSet that each world is on, int64 (num_rows,)."""
-        things = sim.obstacles
-        self._obstacle_model, self._box_height = _BOX, float(things.height)
-        if things.kind == "bot":
-            self._obstacle_model = _CAR
+        self._obstacle_model = _CAR if sim.obstacles.kind == "bot" else _BOX
+        self._box_height = float(sim.obstacles.height)
 
     def tables(
         self, car: int, mount: Mount, *, gray: bool | None = None
@@ -142,30 +116,14 @@ class SceneState:
             colours = _lit(colours, gray)
         count = self.num_cars + num_obstacles - (car >= 0)
         poses = np.empty((len(self._rows), len(Pose._fields)))
-        things = np.empty((len(self._rows), count, tables.THING_COLUMNS))
-        stand(
-            self._rows,
-            car,
-            self._cars,
-            self._obstacles,
-            mount,
-            (_CAR, self._obstacle_model),
-            self._box_height,
-            colours,
-            poses,
-            things,
-        )
+        things = np.empty((len(self._rows), count, THING_COLUMNS))
+        shapes = (_CAR, self._obstacle_model), self._box_height, colours
+        stand(self._rows, car, self._cars, self._obstacles, mount, *shapes, poses, things)
         return poses, things
 
-    def camera(self, row: int, car: int, cfg: CameraConfig) -> Pose:
-        """Return where a car's camera is in the world at `row`."""
-        poses, _ = self.tables(car, mount_of(cfg))
-        return Pose(*poses[row].tolist())
-
-    def things(self, row: int, without: int | None = None) -> list[Thing]:
-        """Return the cars, by slot, but for the slot `without`, then the obstacles of a world."""
-        _, things = self.tables(-1 if without is None else without, _NO_MOUNT)
-        return [_thing(*columns) for columns in things[row].tolist()]
+    def things(self, *, gray: bool | None = None) -> np.ndarray:
+        """Return all cars, by slot, then the obstacles; see `tables`."""
+        return self.tables(-1, _NO_MOUNT, gray=gray)[1]
 
 
 _CAR, _BOX = MODELS.index(CAR), MODELS.index(BOX)
@@ -176,23 +134,6 @@ def mount_of(cfg: CameraConfig) -> Mount:
     """Return how a car's camera is bolted to it."""
     lengths = cfg.forward, cfg.up, cfg.pitch, cfg.baseline / 2, MIN_HEIGHT
     return Mount(*map(float, lengths))
-
-
-def table(things: list[Thing], *, gray: bool) -> np.ndarray:
-    """Return things as float64 (num_things, THING_COLUMNS), their colours lit."""
-    rows = [
-        (MODELS.index(model), *place, *scale, *lit(colour, gray))
-        for model, *place, colour, scale in things
-    ]
-    return np.array(rows).reshape(-1, tables.THING_COLUMNS)
-
-
-def _thing(model: float, *columns: float) -> Thing:
-    """Return a thing of a table with colours that are not lit."""
-    x, y, cos, sin, steering, along, across, upward, red, green, blue, *_ = columns
-    return Thing(
-        MODELS[int(model)], x, y, cos, sin, steering, (red, green, blue), (along, across, upward)
-    )
 
 
 @lru_cache(maxsize=64)
@@ -216,3 +157,90 @@ def _lit(colours: np.ndarray, gray: bool | None) -> np.ndarray:
 def _plain(array: np.ndarray) -> np.ndarray:
     """Return an array in the order and with the rights that compiled code was made for."""
     return array if array.flags.carray else array.copy()
+
+
+@compiled
+def stand(rows, car, cars, obstacles, mount, kinds, box_height, colours, poses, things):
+    """Write where the camera of one car is in the worlds `rows`, and what it may see there.
+
+    `poses` and `things` are set; see SceneState.tables. The car does not see itself; -1: no camera,
+    and all cars are seen. `kinds` are the numbers of the models of cars and obstacles,
+    `colours` those of each body, and when it is frozen: three numbers in the shade and three that
+    full sun adds, float64 (num_rows or 1, num_bodies, 2, 6).
+    """
+    for n in range(len(rows)):
+        w = rows[n]
+        if car >= 0:
+            _pose(poses[n], cars[w, car], mount)
+        shown, count = colours[min(n, len(colours) - 1)], 0
+        for c in range(cars.shape[1]):
+            if c != car:
+                body = cars[w, c]
+                colour = shown[c, 1 if frozen(body) else 0]
+                _put(things[n, count], kinds[0], body, body.steering, colour)
+                count += 1
+        for k in range(obstacles.shape[1]):
+            body, thing = obstacles[w, k], things[n, count]
+            _put(thing, kinds[1], body, f32(0.0), shown[cars.shape[1] + k, 0])
+            if kinds[1] != kinds[0]:
+                thing[tables.ALONG] = 2 * f64(body.half_length)
+                thing[tables.ACROSS] = 2 * f64(body.half_width)
+                thing[tables.UPWARD] = box_height
+            count += 1
+
+
+@inner
+def _put(thing, model, body, steering, colour):
+    """Write a body of its model's own size."""
+    thing[tables.MODEL], thing[tables.STEERING] = model, steering
+    thing[tables.X], thing[tables.Y] = body.x, body.y
+    thing[tables.COS], thing[tables.SIN] = _direction(body.yaw)
+    thing[tables.ALONG], thing[tables.ACROSS], thing[tables.UPWARD] = 1.0, 1.0, 1.0
+    for k in range(THING_COLUMNS - tables.SHADE):
+        thing[tables.SHADE + k] = colour[k]
+
+
+@inner
+def _direction(angle):
+    """Return the cosine and the sine of an angle [rad], rounded to float32, as float64."""
+    sine, cosine = sincos(f32(angle))
+    return f64(cosine), f64(sine)
+
+
+@inner
+def _pose(pose, car, mount):
+    """Write the fields of Pose of a car's camera."""
+    x, y, z = f64(car.x), f64(car.y), f64(car.z)
+    cos, sin = _direction(car.yaw)
+    up = mount.up + f64(car.camera_up)
+    tilt_cos, tilt_sin = _direction(mount.pitch + f64(car.camera_pitch))
+    if car.roll == 0 and car.pitch == 0:
+        pose[0], pose[1] = x + cos * mount.forward, y + sin * mount.forward
+        pose[2] = max(up + z, mount.min_height)
+        pose[3], pose[4], pose[5], pose[6] = cos, sin, tilt_cos, tilt_sin
+        pose[7], pose[8] = 1.0, 0.0
+        return
+    # The body's axes (ahead, to the left, up) in the frame of its yaw.
+    roll_cos, roll_sin = _direction(car.roll)
+    pitch_cos, pitch_sin = _direction(car.pitch)
+    ahead_axis = pitch_cos, 0.0, -pitch_sin
+    left_axis = pitch_sin * roll_sin, roll_cos, pitch_cos * roll_sin
+    up_axis = pitch_sin * roll_cos, -roll_sin, pitch_cos * roll_cos
+    ahead = mount.forward * ahead_axis[0] + up * up_axis[0]
+    left = mount.forward * ahead_axis[1] + up * up_axis[1]
+    rise = mount.forward * ahead_axis[2] + up * up_axis[2]
+    pose[0], pose[1] = x + cos * ahead - sin * left, y + sin * ahead + cos * left
+    sink = mount.half_baseline * abs(left_axis[2])  # of the lower eye below the middle
+    pose[2] = max(z + rise, mount.min_height + sink)
+    # The view, tilted on the body.
+    ahead = tilt_cos * ahead_axis[0] - tilt_sin * up_axis[0]
+    left = tilt_cos * ahead_axis[1] - tilt_sin * up_axis[1]
+    rise = tilt_cos * ahead_axis[2] - tilt_sin * up_axis[2]
+    flat = math.sqrt(ahead * ahead + left * left)
+    # The yaw of a view straight up or down is that of the body.
+    turn_cos, turn_sin = (ahead / flat, left / flat) if flat > 1e-6 else (1.0, 0.0)
+    pose[3], pose[4] = cos * turn_cos - sin * turn_sin, sin * turn_cos + cos * turn_sin
+    pose[5], pose[6] = flat, -rise
+    # The body's left axis lies across the view: in the plane of a level camera's left and up.
+    pose[7] = left_axis[1] * turn_cos - left_axis[0] * turn_sin
+    pose[8] = left_axis[2] * flat - (left_axis[0] * turn_cos + left_axis[1] * turn_sin) * rise

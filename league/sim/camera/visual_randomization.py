@@ -17,8 +17,7 @@ from league.sim.records import World
 # Purposes of the draws (see league.sim.rng): any numbers that nothing else uses.
 _LIGHT, _CHANNEL, _BODY, _BLUR, _NOISE, _PLACE = range(7_310_001, 7_310_007)
 
-NOISE_STEP = 32.0
-"""Levels of a noise sample in one standard deviation."""
+NOISE_STEP = 32.0  # levels of a noise sample in one standard deviation
 _SPARE = 1 << 16
 
 
@@ -26,16 +25,12 @@ _SPARE = 1 << 16
 class Look:
     """What was drawn for some worlds."""
 
+    # what each channel of a picture is multiplied with, (num_rows, 1) or (num_rows, 3)
     gain: np.ndarray
-    """What each channel of a picture is multiplied with, (num_rows, 1) or (num_rows, 3)."""
-    tint: np.ndarray
-    """What the colour of each body is multiplied with, (num_rows, num_bodies, 3)."""
-    leak: np.ndarray
-    """Share of a pixel's light that each neighbour gets, (num_rows,)."""
-    noise: np.ndarray
-    """Standard deviation of a pixel, of 255, (num_rows,)."""
-    place: np.ndarray
-    """Where in the noise this picture begins, int64, (num_rows,)."""
+    tint: np.ndarray  # what the colour of each body is multiplied with, (num_rows, num_bodies, 3)
+    leak: np.ndarray  # share of a pixel's light that each neighbour gets, (num_rows,)
+    noise: np.ndarray  # standard deviation of a pixel, of 255, (num_rows,)
+    place: np.ndarray  # where in the noise this picture begins, int64, (num_rows,)
 
 
 def draw(

@@ -6,8 +6,6 @@ so a car squats, leans, lifts wheels and turns over; then its body lies on the g
 are the truth: every control step starts from them.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import math
@@ -15,6 +13,7 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from types import ModuleType
 from typing import Any
 
@@ -23,19 +22,15 @@ import numpy as np
 from league.errors import ConfigError
 from league.sim.config import SimConfig
 from league.sim.physics import suspension
-from league.sim.records import is_frozen
+from league.sim.records import World, is_frozen
 from league.sim.settings import HALF_WALL, RESTITUTION_FROM, settings
 
-MAX_WORLDS = 1000
-"""PyBullet keeps at most 1,024 simulations in a process."""
-LONGEST_STEP = 1 / 240
-"""Longest step of Bullet [s]; a physics step is split until none is longer."""
-WALL_HEIGHT = 2.0
-"""Height of the walls [m]: no car gets over them."""
+MAX_WORLDS = 1000  # PyBullet keeps at most 1,024 simulations in a process
+LONGEST_STEP = 1 / 240  # longest step of Bullet [s]; a physics step is split until none is longer
+WALL_HEIGHT = 2.0  # height of the walls [m]: no car gets over them
 HEAVY = 1e7
 """Mass of what moves and cannot be pushed [kg]: Bullet takes a body of mass 0 to be standing."""
-ITERATIONS = 20
-"""Rounds of Bullet's impulse solver in a physics step."""
+ITERATIONS = 20  # rounds of Bullet's impulse solver in a physics step
 
 _PARTS = ((0.74, -0.74, 0.96), (1.0, -1.0, 1.0), (0.28, -0.68, 0.66))
 """Skirt, shell and cabin of a car, much as they are drawn: where each begins and ends along the
@@ -72,14 +67,11 @@ pybullet = _load_pybullet()
 class _Body:
     """A rigid body of upright boxes to build."""
 
-    half_sizes: list[Triple]
-    """Of each of its boxes, ahead, to the side and upwards [m]."""
-    mass: float = 0.0
-    """[kg]; 0 for what never moves."""
-    inertia: Triple = (0.0, 0.0, 0.0)
-    """About the same three axes [kg m^2]."""
+    half_sizes: list[Triple]  # of each of its boxes, ahead, to the side and upwards [m]
+    mass: float = 0.0  # [kg]; 0 for what never moves
+    inertia: Triple = (0.0, 0.0, 0.0)  # about the same three axes [kg m^2]
+    # of each box, from the centre of mass [m]
     middles: list[Triple] = field(default_factory=lambda: [(0.0, 0.0, 0.0)])
-    """Of each box, from the centre of mass [m]."""
 
 
 @dataclass(frozen=True)
@@ -88,10 +80,8 @@ class _Plan:
 
     track: int
     masses: list[float]
-    held: list[bool]
-    """Cars that stand frozen without being ghosts: nothing can push them."""
-    sizes: list[list[float]]
-    """Half length and half width of each obstacle [m]."""
+    held: list[bool]  # cars that stand frozen without being ghosts: nothing can push them
+    sizes: list[list[float]]  # half length and half width of each obstacle [m]
 
 
 @dataclass(frozen=True)
@@ -109,13 +99,7 @@ class BulletSolver:
     """Integrates each world in a Bullet simulation of its own."""
 
     def __init__(self, cfg: SimConfig, rooms: np.ndarray, num_worlds: int) -> None:
-        """Connect to Bullet.
-
-        `rooms` are the walls of each track, x_min, y_min, x_max, y_max [m], (num_tracks, 4).
-
-        Raises:
-            ConfigError: more worlds than Bullet keeps.
-        """
+        """Connect to Bullet; `rooms` are x_min, y_min, x_max, y_max [m], (num_tracks, 4)."""
         self._clients = []
         if num_worlds > MAX_WORLDS:
             raise ConfigError(
@@ -143,26 +127,20 @@ class BulletSolver:
                 )
             self._clients.append(client)
 
-    def step(
-        self,
-        cars: np.ndarray,
-        obstacles: np.ndarray,
-        worlds: np.ndarray,
-        controls: np.ndarray,
-        contacts: np.ndarray,
-    ) -> None:
+    def step(self, world: World, controls: np.ndarray, contacts: np.ndarray) -> None:
         """Move the cars through one control step, and note what touched what; see planar.py.
 
         Controls are target steering [rad] and speed [m/s], (num_worlds, num_cars, 2); contacts are
         CONTACT records (num_worlds, num_cars), overwritten.
         """
+        cars, obstacles = world.cars, world.obstacles
         held = is_frozen(cars)
         for name in _RATES:
             cars[name][held] = 0.0
         placed, boxes = np.empty((*cars.shape, 13)), np.empty((*obstacles.shape, 13))
         suspension.place(cars, self._chassis, placed)
         suspension.place_boxes(obstacles, self._height / 2, boxes)
-        stages = self._set(cars, obstacles, worlds, held, placed.tolist(), boxes.tolist())
+        stages = self._set(world, held, placed.tolist(), boxes.tolist())
         contacts["cars"], contacts["obstacles"], contacts["wall"] = 0, 0, False
         bodies, acting = placed.copy(), np.zeros((*cars.shape, 6))
         free = [np.flatnonzero(~row).tolist() for row in held]
@@ -214,18 +192,13 @@ class BulletSolver:
         self.close()
 
     def _set(
-        self,
-        cars: np.ndarray,
-        obstacles: np.ndarray,
-        worlds: np.ndarray,
-        frozen: np.ndarray,
-        placed: list[Any],
-        boxes: list[Any],
+        self, world: World, frozen: np.ndarray, placed: list[Any], boxes: list[Any]
     ) -> list[_Stage]:
         """Build what changed in kind, and put every body where the records say."""
+        cars, obstacles = world.cars, world.obstacles
         ghosts = cars["ghost"].tolist()
         held = (frozen & ~cars["ghost"]).tolist()
-        mass, track = cars["mass"].tolist(), worlds["track"].tolist()
+        mass, track = cars["mass"].tolist(), world.track.tolist()
         sizes = np.stack([obstacles["half_length"], obstacles["half_width"]], axis=-1).tolist()
         stages = []
         for index, client in enumerate(self._clients):
@@ -264,7 +237,7 @@ class BulletSolver:
             obstacles.append(self._box(client, place, body, _OBSTACLE))
         # Bullet takes a body's new inertia into use when it moves it.
         pybullet.stepSimulation(physicsClientId=client)
-        walls = self._build_walls(client, *self._rooms[plan.track])
+        walls = self._build_walls(client, self._rooms[plan.track])
         ground = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
         self._body(client, ground, _Body([]), [0, 0, 0], _WALL)
         return _Stage(plan, cars, obstacles, walls, [False] * len(cars))
@@ -275,18 +248,15 @@ class BulletSolver:
         inertia = (share * car.roll_inertia, share * car.pitch_inertia, share * car.yaw_inertia)
         heights = [car.clearance + share * (car.height - car.clearance) for share in _LEVELS]
         half_sizes, middles = [], []
-        for (front, back, side), low, high in zip(_PARTS, heights[:-1], heights[1:], strict=True):
-            half_sizes.append(
-                ((front - back) * car.length / 4, side * car.width / 2, (high - low) / 2)
-            )
-            middle = (low + high) / 2 - car.mass_height
-            middles.append(((front + back) * car.length / 4, 0.0, middle))
+        for (front, back, side), (low, high) in zip(_PARTS, pairwise(heights), strict=True):
+            half_length, ahead = (front - back) * car.length / 4, (front + back) * car.length / 4
+            half_sizes.append((half_length, side * car.width / 2, (high - low) / 2))
+            middles.append((ahead, 0.0, (low + high) / 2 - car.mass_height))
         weight = (HEAVY, _UNTURNED) if held else (mass, inertia)
         return _Body(half_sizes, *weight, middles)
 
-    def _build_walls(
-        self, client: int, x_min: float, y_min: float, x_max: float, y_max: float
-    ) -> list[int]:
+    def _build_walls(self, client: int, room: list[float]) -> list[int]:
+        x_min, y_min, x_max, y_max = room
         half_x, half_y = (x_max - x_min) / 2 + 2 * HALF_WALL, (y_max - y_min) / 2
         mid_x, mid_y = (x_min + x_max) / 2, (y_min + y_max) / 2
         boxes = (

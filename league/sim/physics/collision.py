@@ -10,9 +10,6 @@ All numbers are float32. A body is a row X, Y, YAW, VX, VY, TURN; its box a row 
 width [m], inverse mass [1/kg], inverse inertia [1/(kg m^2)] and distance of its corners [m].
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 
 import numpy as np
@@ -25,20 +22,13 @@ X, Y, YAW, VX, VY, TURN = range(6)
 """Columns of a body: world frame [m, rad], velocity [m/s] and yaw rate [rad/s]."""
 
 _RESTITUTION_FROM = np.float32(RESTITUTION_FROM)
-SLOP = np.float32(0.0005)
-"""Overlap that is left alone [m]."""
-MENDED = np.float32(0.2)
-"""Share of the overlap beyond it that is mended in a physics step."""
-FASTEST_MEND = np.float32(0.005)
-"""Largest mend of a physics step [m]."""
-SWEEPS = 2
-"""Times friction and pressure answer each other when a pair is worked."""
-REPEATS = 2
-"""Further times that pairs are worked which share a car with another acting pair."""
-_UNKNOWN = np.float32(2.0)
-"""Stands for a cosine that has not been worked out."""
-_TOGETHER = np.float32(1e-3)
-"""Two points that almost coincide cannot share the load."""
+SLOP = np.float32(0.0005)  # overlap that is left alone [m]
+MENDED = np.float32(0.2)  # share of the overlap beyond it that is mended in a physics step
+FASTEST_MEND = np.float32(0.005)  # largest mend of a physics step [m]
+SWEEPS = 2  # times friction and pressure answer each other when a pair is worked
+REPEATS = 2  # further times that pairs are worked which share a car with another acting pair
+_UNKNOWN = np.float32(2.0)  # stands for a cosine that has not been worked out
+_TOGETHER = np.float32(1e-3)  # two points that almost coincide cannot share the load
 _ZERO, _HALF, _ONE, _TWO = (np.float32(number) for number in (0.0, 0.5, 1.0, 2.0))
 
 

@@ -3,9 +3,6 @@
 Semi-implicit Euler: forces change velocities, contacts mend them, velocities move the cars.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import numpy as np
 
 from league.jit import compiled, inner
@@ -42,14 +39,8 @@ def step_world(cars, obstacles, course, controls, contacts, pairs, settings):
     Cars that are frozen are held where they are, at rest; ghosts touch neither cars nor obstacles.
     Obstacles move at their velocity of this step and cannot be pushed.
 
-    Args:
-        cars: CAR records (num_cars,); their motion is changed.
-        obstacles: OBSTACLE records (num_obstacles,).
-        course: COURSE record, for the walls.
-        controls: target steering [rad] and speed [m/s] of each car, float32 (num_cars, 2).
-        contacts: CONTACT records (num_cars,); overwritten.
-        pairs: of `schedule`.
-        settings: SETTINGS record.
+    The motion of the cars is changed, their contacts are overwritten. Controls are target steering
+    [rad] and speed [m/s] of each car, float32 (num_cars, 2); `pairs` are those of `schedule`.
     """
     num_cars, dt = len(cars), settings.physics_dt
     for c in range(num_cars):
@@ -130,10 +121,7 @@ def _accelerate(car, control, settings, k):
 
 @inner
 def _lean(car, acting, settings):
-    """Lean the chassis as its springs would under the tyres' forces; only cameras read it.
-
-    See settings.lean_per_acceleration. Contacts do not lean it.
-    """
+    """Lean the chassis as its springs would, but not for contacts; only cameras read it."""
     sin, cos = sincos(car.yaw)
     ahead = (cos * acting.force_x + sin * acting.force_y) / car.mass
     left = (cos * acting.force_y - sin * acting.force_x) / car.mass

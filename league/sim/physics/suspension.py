@@ -7,9 +7,6 @@ quaternion x, y, z, w, velocity [m/s] and angular velocity [rad/s], all in the w
 is one of the forces here, so a car at rest feels exactly none. docs/physics.md has the equations.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 
 import numpy as np
@@ -17,18 +14,10 @@ import numpy as np
 from league.jit import compiled, inner
 from league.portable_math import f32, heading_of, sincos, wrap_angle
 from league.sim.config import CarConfig
-from league.sim.physics.vehicle import (
-    asked_acceleration,
-    drive_force,
-    frozen,
-    late_steps,
-    lateral_force,
-    steered,
-)
+from league.sim.physics import vehicle
 from league.sim.settings import GRAVITY
 
-LEAST_UPRIGHT = 0.5
-"""Cosine of the lean beyond which no wheel carries the car (60 deg)."""
+LEAST_UPRIGHT = 0.5  # cosine of the lean beyond which no wheel carries the car (60 deg)
 STILL, STILL_TURN, STILL_STEP = 0.002, 0.02, 1e-4
 """A car that lies on its body rests when it is slower than this and moved by less in a control step
 [m/s, rad/s, m]: contacts alone would let it creep."""
@@ -94,10 +83,7 @@ def place(cars, chassis, bodies):
 
 @compiled
 def place_boxes(obstacles, up, bodies):
-    """Write the states of obstacles, float64 (num_worlds, num_obstacles, 13).
-
-    They stand upright, with their middles `up` above the ground [m].
-    """
+    """Write the states of obstacles, upright, with their middles `up` above the ground [m]."""
     for w in range(obstacles.shape[0]):
         for k in range(obstacles.shape[1]):
             thing, body = obstacles[w, k], bodies[w, k]
@@ -109,15 +95,12 @@ def place_boxes(obstacles, up, bodies):
 
 @compiled
 def read_back(cars, chassis, placed, bodies):
-    """Write where the chassis have come to into CAR records; frozen cars keep theirs.
-
-    `placed` are the states that `place` wrote for these records, `bodies` the states now.
-    """
+    """Write where chassis have come to, from `placed` to `bodies`, into cars but frozen ones."""
     height = chassis[0].height
     for w in range(cars.shape[0]):
         for c in range(cars.shape[1]):
             car, body = cars[w, c], bodies[w, c]
-            if frozen(car):
+            if vehicle.frozen(car):
                 continue
             old_x, old_y = _axes(placed[w, c])[:2]
             xx, xy, xz, yx, yy, yz, zx, zy, zz = _axes(body)
@@ -143,27 +126,21 @@ def read_back(cars, chassis, placed, bodies):
 
 @compiled
 def loads(cars, bodies, controls, sim, chassis, k, out):
-    """Turn every car's wheels by one physics step, and write what acts on it.
+    """Turn every car's wheels by physics step `k` of a control step, and write what acts on it.
 
-    Args:
-        cars: CAR records (num_worlds, num_cars).
-        bodies: states of the chassis, float64 (num_worlds, num_cars, 13).
-        controls: target steering [rad] and speed [m/s], float32 (num_worlds, num_cars, 2).
-        sim: SETTINGS record, shape (1,).
-        chassis: CHASSIS record, shape (1,).
-        k: number of the physics step in its control step.
-        out: force [N] and torque about the centre of mass [N m], world frame, float64 (num_worlds,
-            num_cars, 6).
+    Controls are target steering [rad] and speed [m/s], float32 (num_worlds, num_cars, 2); `out` is
+    set to force [N] and torque about the centre of mass [N m], world frame, float64 (num_worlds,
+    num_cars, 6).
     """
     for w in range(cars.shape[0]):
         for c in range(cars.shape[1]):
             car = cars[w, c]
-            if frozen(car):
+            if vehicle.frozen(car):
                 continue
-            late = late_steps(car, sim[0]) > k
+            late = vehicle.late_steps(car, sim[0]) > k
             speed = car.target_speed if late else controls[w, c, 1]
             target = car.target_steering if late else controls[w, c, 0]
-            car.steering = steered(car, sim[0], target)
+            car.steering = vehicle.steered(car, sim[0], target)
             _load(car, bodies[w, c], sim[0], chassis[0], speed, out[w, c])
 
 
@@ -182,7 +159,7 @@ def _load(car, body, settings, chassis, target_speed, out):
         body[8] - (body[12] * zx - body[10] * zz) * height
     )
     # Open differentials: each wheel is asked for a quarter of the force.
-    asked = asked_acceleration(settings, target_speed, f32(ahead)) * car.mass * _QUARTER
+    asked = vehicle.asked_acceleration(settings, target_speed, f32(ahead)) * car.mass * _QUARTER
     cap, slope = chassis.cap * car.mass, settings.slope_of_grip / car.grip
     steering, share = sincos(car.steering), mass * (GRAVITY / 4)
     for front, left in _WHEELS:
@@ -199,8 +176,8 @@ def _load(car, body, settings, chassis, target_speed, out):
         rolling = f32(vx * wheel_x + vy * wheel_y)
         sliding = f32(vy * wheel_x - vx * wheel_y)
         grip = max(f32(load), _LEAST_LOAD) * car.grip
-        drive = drive_force(asked, rolling, grip, cap)
-        lateral = lateral_force(sliding, rolling, drive, grip, slope, cap)
+        drive = vehicle.drive_force(asked, rolling, grip, cap)
+        lateral = vehicle.lateral_force(sliding, rolling, drive, grip, slope, cap)
         fx, fy = wheel_x * drive - wheel_y * lateral, wheel_y * drive + wheel_x * lateral
         out[0] += fx
         out[1] += fy
@@ -231,10 +208,7 @@ def _foot(body, axes, along, across, height):
 
 @inner
 def _pointing(front, across, wheelbase, steering):
-    """Return the direction of a wheel, ahead and to the left: all four roll about one point.
-
-    That point lies on the line of the rear axle (Ackermann), at wheelbase / tan(steering).
-    """
+    """Return a wheel's direction, ahead and to the left: all roll about one point (Ackermann)."""
     if front < 0.0:
         return 1.0, 0.0
     sin, cos = np.float64(steering[0]), np.float64(steering[1])

@@ -7,9 +7,6 @@ speed. In the plane a car is a single-track model with the centre of mass midway
 and four driven wheels; each axle has half of the drive. docs/physics.md has equations and proof.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 from typing import NamedTuple
 
@@ -21,8 +18,7 @@ from league.sim.settings import GRAVITY
 
 DRIVE_SHARE = f32(0.95)
 """Largest share of the grip that drive or brakes may take; the rest still steers."""
-SLIP_FLOOR = f32(0.05)
-"""Slowest rolling speed a slip is counted against [m/s]."""
+SLIP_FLOOR = f32(0.05)  # slowest rolling speed a slip is counted against [m/s]
 _ZERO, _HALF, _ONE, _THREE = f32(0.0), f32(0.5), f32(1.0), f32(3.0)
 _LEAST_LOAD, _HALF_GRAVITY = f32(1e-3), f32(GRAVITY / 2)
 
@@ -30,14 +26,10 @@ _LEAST_LOAD, _HALF_GRAVITY = f32(1e-3), f32(GRAVITY / 2)
 class Push(NamedTuple):
     """What acts on a car in one physics step."""
 
-    force_x: np.float32
-    """World frame, at the base [N]."""
-    force_y: np.float32
-    """World frame, at the base [N]."""
-    torque: np.float32
-    """About the vertical [N m]."""
-    steering: np.float32
-    """Angle of the front wheels at the end of the step [rad]."""
+    force_x: np.float32  # world frame, at the base [N]
+    force_y: np.float32  # world frame, at the base [N]
+    torque: np.float32  # about the vertical [N m]
+    steering: np.float32  # angle of the front wheels at the end of the step [rad]
 
 
 @inner
@@ -88,10 +80,7 @@ def asked_acceleration(settings, target_speed, speed):
 
 @inner
 def push(car, settings, target_steering, target_speed):
-    """Return what acts on a car for one physics step.
-
-    The target angle of the front wheels [rad] is clipped to the largest; the speed is in m/s.
-    """
+    """Return what acts on a car in a physics step, at target steering [rad] and speed [m/s]."""
     steering = steered(car, settings, target_steering)
     sin, cos = sincos(car.yaw)
     sin_wheel, cos_wheel = sincos(steering)

@@ -20,16 +20,12 @@ if TYPE_CHECKING:
     from league.training.monitor.history import EvaluationRow, Row, TrainingHistory
     from league.training.ppo.learner import Update
 
-PLAIN_EVERY_S = 5.0
-"""Seconds between two plain lines."""
-REFRESHES_HZ = 2.0
-"""How often the dashboard is drawn; once takes some milliseconds."""
-RECENT = 16
-"""Updates over which the speed is averaged."""
+PLAIN_EVERY_S = 5.0  # seconds between two plain lines
+REFRESHES_HZ = 2.0  # how often the dashboard is drawn; once takes some milliseconds
+RECENT = 16  # updates over which the speed is averaged
 _NARROW = 78
 _HEIGHT = 4
-_BLOCKS = " ▁▂▃▄▅▆▇█"
-"""A character cell filled from below, in eighths."""
+_BLOCKS = " ▁▂▃▄▅▆▇█"  # a character cell filled from below, in eighths
 
 
 class Dashboard(TrainingCallback):
@@ -162,23 +158,21 @@ def _charts(history: TrainingHistory, width: int) -> RenderableType:
     across = max(width if narrow else (width - 4) // 3, 8)
     height = 2 if narrow else _HEIGHT
 
-    def completion(
-        title: str, rows: Sequence[Row], value: float | None, style: str, foot: str = ""
-    ) -> RenderableType:
+    def completion(title: str, rows: Sequence[Row], style: str, foot: str = "") -> RenderableType:
         driven = bars(_curve(history, rows, "completion", across), 0.0, 100.0, height)
-        return _chart(f"completion, {title}", percent(value), driven, style, across, foot)
+        value = percent(rows[-1].completion if rows else None)
+        return _chart(f"completion, {title}", value, driven, style, across, foot)
 
     rewards = _curve(history, history.updates, "earned", across)
     known = [value for value in rewards if value is not None]
     low, high = min(known, default=0.0), max(known, default=1.0)
     if 0 < low < 0.5 * high:
         low = 0.0
-    last, judged = history.updates[-1], history.evaluations
-    evaluated = judged[-1].completion if judged else None
+    earned = figure(history.updates[-1].earned)
     charts = [
-        _chart("reward", figure(last.earned), bars(rewards, low, high, height), "magenta", across),
-        completion("training", history.updates, last.completion, "cyan"),
-        completion("evaluation", judged, evaluated, "green", _best_mark(history, across)),
+        _chart("reward", earned, bars(rewards, low, high, height), "magenta", across),
+        completion("training", history.updates, "cyan"),
+        completion("evaluation", history.evaluations, "green", _best_mark(history, across)),
     ]
     if narrow:
         return Group(*charts)
@@ -233,18 +227,14 @@ def _figures(history: TrainingHistory) -> RenderableType:
     if history.evaluations:
         last = history.evaluations[-1]
         times = [row.best_lap_s for row in history.evaluations if row.best_lap_s is not None]
-        laps = Text.assemble(
-            ("best ", "dim"),
-            (seconds(min(times, default=None)), "bold"),
-            ("   last ", "dim"),
-            seconds(last.last_lap_s),
-            ("   laps ", "dim"),
-            f"{last.complete_laps} of {last.asked}",
-            ("   off-tracks ", "dim"),
-            str(last.off_tracks),
-            ("   crashes ", "dim"),
-            str(last.crashes),
-        )
+        laps = Text.assemble(("best ", "dim"), (seconds(min(times, default=None)), "bold"))
+        for name, value in (
+            ("last", seconds(last.last_lap_s)),
+            ("laps", f"{last.complete_laps} of {last.asked}"),
+            ("off-tracks", str(last.off_tracks)),
+            ("crashes", str(last.crashes)),
+        ):
+            laps.append(f"   {name} ", style="dim").append(value)
     grid = Table.grid(padding=(0, 2))
     grid.add_column(style="dim", no_wrap=True)
     grid.add_column()
@@ -353,31 +343,25 @@ def resampled(
 
     `at` are the values' places, rising; None and NaN are skipped.
     """
-    sums, counts = [0.0] * width, [0] * width
+    columns: list[list[float]] = [[] for _ in range(width)]
     for place, value in zip(at, values, strict=True):
-        if value is None or not math.isfinite(value):
-            continue
-        # The right end belongs to the last column.
-        column = min(int(place / max(until, 1e-9) * width), width - 1)
-        sums[column] += value
-        counts[column] += 1
-    columns: list[float | None] = []
-    last: float | None = None
-    for total, count in zip(sums, counts, strict=True):
-        last = total / count if count else last
-        columns.append(last)
-    return columns
+        if value is not None and math.isfinite(value):
+            # The right end belongs to the last column.
+            columns[min(int(place / max(until, 1e-9) * width), width - 1)].append(value)
+    means: list[float | None] = []
+    for column in columns:
+        last = means[-1] if means else None
+        means.append(sum(column) / len(column) if column else last)
+    return means
 
 
 def bars(values: Sequence[float | None], low: float, high: float, height: int) -> list[str]:
     """Return a bar chart as lines of text, the top one first; even the lowest value is visible."""
     steps, span = 8 * height, high - low
-    filled = [
-        0
-        if value is None
-        else max(1, min(steps, round((value - low) / span * steps) if span > 0 else 1))
-        for value in values
-    ]
+    filled = []
+    for value in values:
+        share = (value - low) / span if value is not None and span > 0 else 0.0
+        filled.append(0 if value is None else max(1, min(steps, round(share * steps))))
     return [
         "".join(_BLOCKS[max(0, min(8, eighths - 8 * line))] for eighths in filled)
         for line in reversed(range(height))

@@ -13,12 +13,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from io import BufferedWriter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Discriminator, TypeAdapter
 
 from league.atomic_file import replacing
-from league.errors import PolicyError, brief
+from league.errors import PolicyError, brief, explaining
 
 if TYPE_CHECKING:
     from league.racing.table import Evaluation
@@ -26,10 +26,7 @@ if TYPE_CHECKING:
     from league.training.ppo.statistics import EpisodeStatistics
 
 FORMAT = 1
-TEACHING = "/teacher/learning"
-"""Logged as 1 while a teacher learns (ppo/teacher.py)."""
-_OLD_TEACHING = "/tutor/learning"
-"""Its name in the files of older versions."""
+TEACHING = "/teacher/learning"  # logged as 1 while a teacher learns (ppo/teacher.py)
 _Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 """JSON has no NaN: it is written as null."""
 
@@ -41,26 +38,18 @@ class UpdateRow:
     __pydantic_config__ = ConfigDict(extra="forbid", ser_json_inf_nan="null")
 
     row: Literal["update"] = "update"
-    number: int
-    """Updates so far, this one included."""
-    samples: int
-    """Decisions learnt from so far."""
-    time_s: float
-    """Wall time of the run so far, of the parts before a resume too [s]."""
-    collect_s: float
-    """Wall time of this update's rollout: physics, cameras, reward and policy [s]."""
-    learn_s: float
-    """Wall time of this update's learning [s]."""
-    reward: _Number
-    """Mean reward of a step."""
+    number: int  # updates so far, this one included
+    samples: int  # decisions learnt from so far
+    time_s: float  # wall time of the run so far, of the parts before a resume too [s]
+    collect_s: float  # wall time of this update's rollout: physics, cameras, reward and policy [s]
+    learn_s: float  # wall time of this update's learning [s]
+    reward: _Number  # mean reward of a step
+    # mean sum of rewards of the last training episodes; None before the first one ended
     earned: float | None
-    """Mean sum of rewards of the last training episodes; None before the first one ended."""
+    # mean completion of the last training episodes [%]; None before the first one ended
     completion: float | None
-    """Mean completion of the last training episodes [%]; None before the first one ended."""
-    losses: dict[str, _Number]
-    """Mean losses by rsl-rl's names."""
-    log: dict[str, _Number]
-    """Means of the worlds' log over the steps."""
+    losses: dict[str, _Number]  # mean losses by rsl-rl's names
+    log: dict[str, _Number]  # means of the worlds' log over the steps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,36 +59,21 @@ class EvaluationRow:
     __pydantic_config__ = ConfigDict(extra="forbid", ser_json_inf_nan="null")
 
     row: Literal["evaluation"] = "evaluation"
-    number: int
-    """Updates before it."""
-    samples: int
-    """Decisions learnt from before it."""
-    time_s: float
-    """Wall time of the run when it was known [s]: learning may have gone on meanwhile."""
-    took_s: float
-    """Wall time for which learning waited for it [s]."""
-    completion: float
-    """Mean completion [%]."""
-    asked: int
-    """Laps that were to be driven."""
-    complete_laps: int
-    """Laps completed."""
-    clean_laps: int
-    """Laps completed without a mistake."""
-    best_lap_s: float | None
-    """Best complete lap [s]."""
-    last_lap_s: float | None
-    """Last complete lap [s]."""
-    mean_lap_s: float | None
-    """Mean of the complete laps [s]."""
-    best_flying_s: float | None
-    """Best clean lap that began at speed [s]."""
-    off_tracks: int
-    """Times off the track."""
-    crashes: int
-    """Contacts to blame for."""
-    best: bool
-    """Whether the policy was then the best so far."""
+    number: int  # updates before it
+    samples: int  # decisions learnt from before it
+    time_s: float  # wall time of the run when it was known [s]: learning may have gone on meanwhile
+    took_s: float  # wall time for which learning waited for it [s]
+    completion: float  # mean completion [%]
+    asked: int  # laps that were to be driven
+    complete_laps: int  # laps completed
+    clean_laps: int  # laps completed without a mistake
+    best_lap_s: float | None  # best complete lap [s]
+    last_lap_s: float | None  # last complete lap [s]
+    mean_lap_s: float | None  # mean of the complete laps [s]
+    best_flying_s: float | None  # best clean lap that began at speed [s]
+    off_tracks: int  # times off the track
+    crashes: int  # contacts to blame for
+    best: bool  # whether the policy was then the best so far
 
 
 _FIGURES = (
@@ -115,11 +89,7 @@ class TrainingHistory:
     """The rows of a run, in memory and, if it has a path, in a file that is appended to."""
 
     def __init__(self, path: Path | None = None, rows: Iterable[Row] = ()) -> None:
-        """Start with some rows; an existing file is replaced.
-
-        Raises:
-            PolicyError: the file cannot be written.
-        """
+        """Start with some rows, in a new file if any; PolicyError if it cannot be written."""
         rows = list(rows)
         self.updates = [row for row in rows if isinstance(row, UpdateRow)]
         self.evaluations = [row for row in rows if isinstance(row, EvaluationRow)]
@@ -132,11 +102,7 @@ class TrainingHistory:
 
     @classmethod
     def resumed(cls, path: Path, number: int) -> TrainingHistory:
-        """Continue a run's file after an update; rows of later updates are removed.
-
-        Raises:
-            PolicyError: the file is no history, or cannot be written.
-        """
+        """Continue a run's file after an update; rows of later ones go. See `read` for errors."""
         return cls(path, [row for row in read(path) if row.number <= number])
 
     @property
@@ -156,11 +122,6 @@ class TrainingHistory:
         return self.updates[-1].samples if self.updates else 0
 
     @property
-    def number(self) -> int:
-        """Updates so far."""
-        return self.updates[-1].number if self.updates else 0
-
-    @property
     def teacher_learns(self) -> bool:
         """Whether the last update was a teacher's."""
         return bool(self.updates) and TEACHING in self.updates[-1].log
@@ -175,15 +136,14 @@ class TrainingHistory:
 
     def add_update(self, update: Update, episodes: EpisodeStatistics, time_s: float) -> UpdateRow:
         """Add an update; `time_s` is the wall time of the run, before a resume too [s]."""
+        completion = episodes.completion
         row = UpdateRow(
-            number=update.number,
-            samples=update.samples,
+            **{name: getattr(update, name) for name in ("number", "samples", "reward")},
             time_s=round(time_s, 4),
             collect_s=round(update.collect_s, 4),
             learn_s=round(update.learn_s, 4),
-            reward=update.reward,
             earned=episodes.earned,
-            completion=None if episodes.completion is None else 100.0 * episodes.completion,
+            completion=None if completion is None else 100.0 * completion,
             losses={name: float(value) for name, value in update.losses.items()},
             log={name: float(value) for name, value in update.log.items()},
         )
@@ -192,29 +152,22 @@ class TrainingHistory:
         return row
 
     def add_evaluation(
-        self,
-        evaluation: Evaluation,
-        *,
-        time_s: float,
-        took_s: float,
-        best: bool,
-        number: int | None = None,
+        self, evaluation: Evaluation, number: int, *, time_s: float, took_s: float, best: bool
     ) -> EvaluationRow:
-        """Add an evaluation of the policy as it was after update `number`, by default the last.
+        """Add an evaluation of the policy as it was after update `number`.
 
         `time_s` is the wall time of the run so far, `took_s` how long learning waited for it [s];
         `best` says whether the policy is the best so far.
         """
-        number = self.number if number is None else number
         samples = next((row.samples for row in self.updates if row.number == number), 0)
+        laps_s = evaluation.lap_times_s
+        times = {"time_s": time_s, "took_s": took_s, "completion": evaluation.completion}
         row = EvaluationRow(
             number=number,
             samples=samples,
-            time_s=round(time_s, 4),
-            took_s=round(took_s, 4),
-            completion=round(evaluation.completion, 4),
-            last_lap_s=evaluation.lap_times_s[-1] if evaluation.lap_times_s else None,
+            last_lap_s=laps_s[-1] if laps_s else None,
             best=best,
+            **{name: round(value, 4) for name, value in times.items()},
             **{name: getattr(evaluation, name) for name in _FIGURES},
         )
         self.evaluations.append(row)
@@ -232,30 +185,19 @@ class TrainingHistory:
     def _write(self, row: Row) -> None:
         if self._file is None:
             return
-        try:
+        failure = f"the history cannot be written to {self._file.name}"
+        remedy = "give --out a place that can be written and has room"
+        with explaining(failure, PolicyError, remedy):
             # One write of a whole line, flushed at once: a kill of the program cannot lose it, and
             # at worst tears the last one.
             self._file.write(_line(row))
             self._file.flush()
-        except OSError as refusal:
-            raise PolicyError(
-                f"the history cannot be written to {self._file.name} ({refusal.strerror}): "
-                "give --out a place that can be written and has room"
-            ) from refusal
 
 
 def read(path: Path) -> list[Row]:
-    """Return the rows of a run's file in order; a torn last line is ignored.
-
-    Raises:
-        PolicyError: there is no such file, or it is no history.
-    """
-    try:
+    """Return the rows of a run's file but for a torn last line; PolicyError if it is none."""
+    with explaining(f"{path} cannot be read", PolicyError, "give the folder of a training run"):
         lines = path.read_bytes().decode("utf-8", errors="replace").split("\n")
-    except OSError as error:
-        raise PolicyError(
-            f"{path} cannot be read ({error.strerror}): give the folder of a training run"
-        ) from error
     try:
         head = json.loads(lines[0])
     except ValueError:
@@ -275,8 +217,6 @@ def read(path: Path) -> list[Row]:
                 f"line {number} of {path} is no row of a training's history "
                 f"({type(error).__name__}): remove the line, or start a new run with another --out"
             ) from error
-        if isinstance(row, UpdateRow) and _OLD_TEACHING in row.log:
-            row.log[TEACHING] = row.log.pop(_OLD_TEACHING)
         rows.append(row)
     return rows
 
@@ -285,20 +225,17 @@ def _line(row: Row) -> bytes:
     return _ROW.dump_json(row) + b"\n"
 
 
-class TrainingCallback(Protocol):
+class TrainingCallback:
     """Shows or writes the metrics of a run, which is the same without it."""
 
     def update(self, history: TrainingHistory, update: Update) -> None:
         """Called after an update, which is the last row of the history."""
-        ...
 
     def evaluated(self, history: TrainingHistory, evaluation: Evaluation) -> None:
         """Called after an evaluation, which is the last row of the history."""
-        ...
 
     def racing(self, what: str) -> None:
-        """Called before races after the last update, which take a while. Optional."""
+        """Called before races after the last update, which take a while."""
 
     def close(self) -> None:
         """Called once at the end, also after an error or Ctrl-C."""
-        ...

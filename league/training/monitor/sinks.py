@@ -26,15 +26,16 @@ if TYPE_CHECKING:
     from league.training.monitor.history import Row, TrainingHistory
     from league.training.ppo.learner import Update
 
-FLUSH_S = 10
-"""Seconds after which what was added is on the disk."""
+FLUSH_S = 10  # seconds after which what was added is on the disk
 
 
 class TensorBoard(TrainingCallback):
-    """Adds a point to each chart; the step is the number of updates, as in rsl-rl."""
+    """Adds a point to each chart; the step is the number of updates, as in rsl-rl.
+
+    Nothing is written, nor TensorBoard loaded, before the first update.
+    """
 
     def __init__(self, folder: Path) -> None:
-        """Nothing is written, nor TensorBoard loaded, before the first update."""
         self._folder = folder
         self._writer: SummaryWriter | None = None
 
@@ -102,13 +103,7 @@ class LiveView(TrainingCallback):
     """Shows some cars as they learn; learning does not wait for it."""
 
     def __init__(self, *envs: RacingVecEnv, window: bool | None = None) -> None:
-        """Open the viewer and watch every step of a learner's worlds, and its teacher's.
-
-        `window` is by default whether there is a display.
-
-        Raises:
-            ReplayError: the viewer does not start.
-        """
+        """Open the viewer, in a window where there is a display, and watch a learner's worlds."""
         from league.rerun_view import blueprint
         from league.rerun_view.live import ShownCars, TrainingStream
         from league.rerun_view.viewer import Stream
@@ -121,13 +116,8 @@ class LiveView(TrainingCallback):
         self._stream: Stream | None = Stream(layout, window=window)
         self.address = self._stream.address
         """Where it can be watched."""
-        self._cars = TrainingStream(
-            self._stream.recording,
-            track,
-            shown,
-            step_hz=sim.step_hz,
-            bots=sim.obstacles.kind == "bot",
-        )
+        recording, bots = self._stream.recording, sim.obstacles.kind == "bot"
+        self._cars = TrainingStream(recording, track, shown, step_hz=sim.step_hz, bots=bots)
         for env in envs:
             env.watch = self._cars.add
 
@@ -168,8 +158,8 @@ class LiveView(TrainingCallback):
             stream.close()
 
 
-EVERY_S = 60.0
-"""Seconds between two plots while learning goes on: one takes about half a second."""
+EVERY_S = 60.0  # seconds between two plots while learning goes on: one takes about half a second
+_TEXT: dict[str, Any] = {"color": INK, "fontsize": 10, "textcoords": "offset points"}
 _EARNED, _DRIVEN, _EVALUATED, _BEST = "#2f9e63", "#3178c6", "#d9483b", "#e0a100"
 
 
@@ -200,11 +190,7 @@ class TrainingPlot(TrainingCallback):
 
 
 def draw_plot(history: TrainingHistory, path: Path) -> None:
-    """Write the curves of a run as a PNG, whole or not at all.
-
-    Raises:
-        PolicyError: the file cannot be written.
-    """
+    """Write the curves of a run as a PNG, whole or not at all; PolicyError if it cannot be."""
     figures.save(plot_figure(history), path, "the plot of the training", PolicyError)
 
 
@@ -237,30 +223,26 @@ def plot_figure(history: TrainingHistory) -> Figure:
 
 def _lines(history: TrainingHistory, completion: Axes, reward: Axes) -> list[Any]:
     updates, evaluations = history.updates, history.evaluations
-    dots: dict[str, Any] = {
-        "marker": "o",
-        "markersize": 5,
-        "markeredgecolor": "white",
-        "clip_on": False,
-    }
-    curves: tuple[tuple[Axes, Sequence[Row], str, str, str, dict[str, Any]], ...] = (
-        (reward, updates, "earned", "average reward (training)", _EARNED, {"alpha": 0.9}),
-        (completion, updates, "completion", "average % completion (training)", _DRIVEN, {}),
-        (
-            completion,
-            evaluations,
-            "completion",
-            "average % completion (evaluation)",
-            _EVALUATED,
-            dots,
-        ),
-    )
     lines = []
-    for axes, rows, name, label, colour, style in curves:
+
+    def draw(axes: Axes, rows: Sequence[Row], name: str, label: str, **style: Any) -> None:  # noqa: ANN401
         known = [row for row in rows if getattr(row, name) is not None]
         values = [getattr(row, name) for row in known]
-        style |= {"label": label, "color": colour, "linewidth": 1.8}
-        lines += axes.plot(history.learnt_s(known), values, **style)
+        label = f"average {label}"
+        lines.extend(
+            axes.plot(history.learnt_s(known), values, label=label, linewidth=1.8, **style)
+        )
+
+    draw(reward, updates, "earned", "reward (training)", color=_EARNED, alpha=0.9)
+    draw(completion, updates, "completion", "% completion (training)", color=_DRIVEN)
+    draw(
+        *(completion, evaluations, "completion", "% completion (evaluation)"),
+        color=_EVALUATED,
+        marker="o",
+        markersize=5,
+        markeredgecolor="white",
+        clip_on=False,
+    )
     completion.set_xlim(0, max(history.updates[-1].time_s, 1e-9))
     return lines
 
@@ -272,14 +254,7 @@ def _shade_teacher(history: TrainingHistory, axes: Axes) -> None:
         return
     axes.axvspan(0, taught_s[-1], color=GRID, alpha=0.6, linewidth=0, zorder=0)
     axes.annotate(
-        "the teacher learns",
-        (0.0, 1.0),
-        xytext=(6, -22),
-        xycoords="axes fraction",
-        textcoords="offset points",
-        va="top",
-        color=INK,
-        fontsize=10,
+        "the teacher learns", (0, 1), xytext=(6, -22), xycoords="axes fraction", va="top", **_TEXT
     )
 
 
@@ -309,13 +284,11 @@ def _mark_best(history: TrainingHistory, axes: Axes) -> None:
         label,
         (best_s, 0.0),
         xytext=(9 if right else -9, 12),
-        textcoords="offset points",
         ha="left" if right else "right",
-        color=INK,
-        fontsize=10,
         fontweight="bold",
         bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 2.0},
         zorder=6,
+        **_TEXT,
     )
 
 

@@ -4,8 +4,6 @@ Each rank has worlds of its own; rsl-rl averages their gradients, so that all ha
 Without torchrun this process is the only rank, and torch.distributed is not initialised.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal
@@ -23,11 +21,7 @@ _Value = TypeVar("_Value")
 
 
 def count() -> int:
-    """Return how many ranks learn together.
-
-    Raises:
-        ConfigError: the environment holds no number.
-    """
+    """Return how many ranks learn together; ConfigError if the environment holds no number."""
     return _environment("WORLD_SIZE", 1)
 
 
@@ -42,11 +36,7 @@ def is_first() -> bool:
 
 
 def device(name: str) -> str:
-    """Return this rank's own device: each rank of a machine takes another GPU.
-
-    Raises:
-        ConfigError: more ranks than GPUs, or one GPU for all.
-    """
+    """Return this rank's own device, each GPU for one rank; ConfigError if there are too few."""
     if count() == 1 or name == "cpu":
         return name
     if name != "cuda":
@@ -81,11 +71,7 @@ def rsl_rl_settings() -> dict[str, int] | None:
 
 
 def join(device: str) -> None:
-    """Initialise torch.distributed, for this rank's device, if launched by torchrun. Idempotent.
-
-    Raises:
-        ConfigError: the other ranks cannot be reached.
-    """
+    """Join the other ranks, if torchrun started any, once; ConfigError if they do not answer."""
     if count() == 1 or distributed.is_initialized():
         return
     on_gpu = torch.device(device).type == "cuda"
@@ -108,11 +94,7 @@ def close() -> None:
 
 
 def gather(value: _Value) -> list[_Value]:
-    """Return every rank's value, in the ranks' order.
-
-    Raises:
-        LeagueError: a rank has ended.
-    """
+    """Return every rank's value, in the ranks' order; LeagueError if a rank has ended."""
     if count() == 1:
         return [value]
     values: list[Any] = [None] * count()
@@ -133,11 +115,7 @@ def wait() -> None:
 
 @contextlib.contextmanager
 def exchange() -> Generator[None]:
-    """Report in a sentence that a rank has ended while others wait for it.
-
-    Raises:
-        LeagueError: it has.
-    """
+    """Raise a LeagueError if a rank has ended while this one waits for it."""
     try:
         yield
     except RuntimeError as error:
@@ -152,11 +130,7 @@ def exchange() -> Generator[None]:
 
 @contextlib.contextmanager
 def failing_together() -> Generator[None]:
-    """Raise an error of one rank in all of them, so that none blocks on one that has ended.
-
-    Raises:
-        LeagueError: it was raised in a rank.
-    """
+    """Raise a LeagueError of one rank in all, so that none blocks on one that has ended."""
     failure: LeagueError | None = None
     try:
         yield

@@ -1,13 +1,11 @@
 """The learner: rsl-rl's PPO on our worlds, one update at a time, with schedules and save points."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import pickle
 import time
 from collections.abc import Generator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +23,13 @@ from league.track.track import TrackSet
 from league.training.config import TrainConfig
 from league.training.ppo import distributed, make_env, symmetry
 from league.training.ppo.models import actor_settings
-from league.training.ppo.statistics import EpisodeStatistics, RewardNormalization
+from league.training.ppo.statistics import EpisodeStatistics, Moments, RewardNormalization
 
 STATE_FORMAT = 1
+_NO_STATE = (
+    *(OSError, AttributeError, KeyError, TypeError, ValueError, RuntimeError, EOFError),
+    pickle.UnpicklingError,
+)
 AVERAGED = 50
 """Most updates that an averaged policy goes back; in the first 500 a tenth of all updates."""
 
@@ -36,26 +38,17 @@ AVERAGED = 50
 class Update:
     """The result of one round of collecting and learning."""
 
-    number: int
-    """Updates so far, this one included."""
-    samples: int
-    """Decisions learnt from so far, by all ranks."""
-    collect_s: float
-    """Wall time of collecting [s]."""
-    learn_s: float
-    """Wall time of learning [s]."""
-    reward: float
-    """Mean reward of a step."""
-    losses: dict[str, float]
-    """Mean losses by rsl-rl's names."""
-    log: dict[str, float]
-    """Means of the worlds' log over the steps."""
-    learning_rate: float | None = None
-    """Step size of the optimiser."""
-    mean_std: float | None = None
-    """Mean standard deviation of the actions."""
+    number: int  # updates so far, this one included
+    samples: int  # decisions learnt from so far, by all ranks
+    collect_s: float  # wall time of collecting [s]
+    learn_s: float  # wall time of learning [s]
+    reward: float  # mean reward of a step
+    losses: dict[str, float]  # mean losses by rsl-rl's names
+    log: dict[str, float]  # means of the worlds' log over the steps
+    learning_rate: float | None = None  # step size of the optimiser
+    mean_std: float | None = None  # mean standard deviation of the actions
+    # mean steps from one end of an episode to the next; None before the first one
     episode_steps: float | None = None
-    """Mean steps from one end of an episode to the next; None before the first one."""
 
 
 class Learner:
@@ -66,11 +59,7 @@ class Learner:
     """
 
     def __init__(self, env: RacingVecEnv, cfg: TrainConfig) -> None:
-        """Build networks and storage; `env` has pictures as bytes, `cfg` this rank's device.
-
-        Raises:
-            ConfigError: the other ranks cannot be reached.
-        """
+        """Build networks and storage; `env` has pictures as bytes, `cfg` this rank's device."""
         self.env, self.cfg = env, cfg
         distributed.join(cfg.device)
         if self._on_gpu:
@@ -117,11 +106,7 @@ class Learner:
         return network.from_learner(self._average)
 
     def load_weights(self, weights: Mapping[str, np.ndarray]) -> None:
-        """Take the actor's weights from a policy of the same shape.
-
-        Raises:
-            PolicyError: the layers differ.
-        """
+        """Take the actor's weights from a policy; PolicyError if its layers differ."""
         own = self._alg.get_policy().state_dict()
         shapes = {name: value.shape for name, value in self.weights().items()}
         if shapes != {name: value.shape for name, value in weights.items()}:
@@ -134,12 +119,9 @@ class Learner:
         self._begin_average()
 
     def update(self, share: float) -> Update:
-        """Collect one round of steps and learn from it.
+        """Collect one round of steps and learn from it; LeagueError if a reward or a rank fails.
 
         The first rank's `share` of the budget that is used up, 0 to 1, sets the schedules.
-
-        Raises:
-            LeagueError: a reward function or another rank has failed.
         """
         self._schedule(distributed.agreed(share))
         self._alg.train_mode()
@@ -184,18 +166,12 @@ class Learner:
         """Write all that a resume needs: networks, optimiser, generators, counts, notes.
 
         The first rank writes; the others have the same networks, and their random numbers restart
-        with the rows.
-
-        Raises:
-            PolicyError: it cannot be written; a state that was there stays.
+        with the rows. PolicyError if it cannot be written; a state that was there stays.
         """
         if not distributed.is_first():
             return
-        state = self._state() | {
-            "format": STATE_FORMAT,
-            "generator": torch.get_rng_state(),
-            "notes": notes,
-        }
+        fixed = {"format": STATE_FORMAT, "generator": torch.get_rng_state(), "notes": notes}
+        state = self._state() | fixed
         if self._on_gpu:
             state["card_generator"] = torch.cuda.get_rng_state(self.cfg.device)
         with replacing(path, "the learner's state", PolicyError, also=(RuntimeError,)) as file:
@@ -205,11 +181,7 @@ class Learner:
             file.write_bytes(buffer.getbuffer())
 
     def restore(self, path: Path) -> dict[str, Any]:
-        """Load a saved state; return its notes. Only weights are unpickled.
-
-        Raises:
-            PolicyError: it is no state, or one of another network.
-        """
+        """Load a saved state, of which only weights are unpickled; return its notes."""
         try:
             # Adam's counts stay on the CPU: on a GPU they would be read back in each step.
             state = torch.load(path, weights_only=True, map_location="cpu")
@@ -220,16 +192,7 @@ class Learner:
             if self._on_gpu and "card_generator" in state:  # missing in early files
                 torch.cuda.set_rng_state(state["card_generator"], self.cfg.device)
             notes = dict(state["notes"])
-        except (
-            OSError,
-            AttributeError,
-            KeyError,
-            TypeError,
-            ValueError,
-            RuntimeError,
-            EOFError,
-            pickle.UnpicklingError,
-        ) as error:
+        except _NO_STATE as error:
             raise PolicyError(
                 f"{path} cannot be resumed ({type(error).__name__}): give the run the "
                 "settings it was started with, or start a new run with another --out"
@@ -254,12 +217,12 @@ class Learner:
     def _state(self) -> dict[str, Any]:
         counts = {"updates": self.updates, "samples": self.samples}
         average = {"average": self._average, "averaged": self._averaged}
-        return self._alg.save() | counts | average | {"scale": self._normalization.state()}
+        return self._alg.save() | counts | average | {"scale": asdict(self._normalization.seen)}
 
     def _load_state(self, state: dict[str, Any]) -> None:
         self._alg.load(state, None, True)
         self.updates, self.samples = int(state["updates"]), int(state["samples"])
-        self._normalization.restore(state["scale"])
+        self._normalization.restore(Moments(**state["scale"]))
         self._begin_average()
         for name, value in state.get("average", {}).items():  # missing in older files
             self._average[name].copy_(value)
@@ -289,15 +252,12 @@ class Learner:
         reward, sums = 0.0, {}
         with torch.inference_mode():
             for _ in range(self.cfg.ppo.rollout):
-                actions = self._alg.act(self._obs)
-                self._obs, rewards, dones, extras = self.env.step(actions)
+                self._obs, rewards, dones, extras = self.env.step(self._alg.act(self._obs))
                 normalized = self._normalization.normalize(rewards, dones)
                 # rsl-rl adds the critic's value to the rewards of `time_outs`.
                 bootstrap = self.cfg.ppo.bootstrap_on_failure
-                ends = dones > 0 if bootstrap else extras["time_outs"]
-                self._alg.process_env_step(
-                    self._obs, normalized, dones, extras | {"time_outs": ends}
-                )
+                ends = {"time_outs": dones > 0 if bootstrap else extras["time_outs"]}
+                self._alg.process_env_step(self._obs, normalized, dones, extras | ends)
                 self._episodes.add(rewards, dones, extras)
                 reward += float(rewards.mean())
                 for name, value in extras["log"].items():
@@ -307,18 +267,16 @@ class Learner:
 
     def _schedule(self, share: float) -> None:
         ppo, share = self.cfg.ppo, min(max(share, 0.0), 1.0)
-        first, last = ppo.learning_rate
-        rate = first * (last / first) ** share
-        self._alg.learning_rate = rate
+        (first, last), (loud, quiet), (high, low) = ppo.learning_rate, ppo.noise, ppo.entropy
+        self._alg.learning_rate = rate = first * (last / first) ** share
         for group in self._alg.optimizer.param_groups:
             group["lr"] = rate
         distribution = self._alg.get_policy().distribution
         if isinstance(distribution, GaussianDistribution):
-            noise = ppo.noise[0] * (ppo.noise[1] / ppo.noise[0]) ** share
             with torch.no_grad():
-                distribution.log_std_param.fill_(noise).log_()
+                distribution.log_std_param.fill_(loud * (quiet / loud) ** share).log_()
         else:
-            self._alg.entropy_coef = ppo.entropy[0] + share * (ppo.entropy[1] - ppo.entropy[0])
+            self._alg.entropy_coef = high + share * (low - high)
 
     def _settings(self) -> dict[str, Any]:
         """Return the settings from which rsl-rl builds its PPO."""
@@ -330,9 +288,7 @@ class Learner:
             "num_steps_per_env": ppo.rollout,
             "multi_gpu": distributed.rsl_rl_settings(),
             "obs_groups": {"actor": groups, "critic": seen},
-            "actor": actor_settings(
-                cfg.network, cfg.action_space, "stereo" in groups, ppo.noise[0], ppo.pull
-            ),
+            "actor": actor_settings(cfg),
             "critic": {
                 "class_name": MLPModel,
                 "hidden_dims": list(cfg.critic_hidden),
@@ -373,11 +329,7 @@ def make_learner(tracks: TrackSet, cfg: TrainConfig, **settings: Any) -> Learner
 
 
 def check_device(name: str) -> None:
-    """Check that a device computes.
-
-    Raises:
-        ConfigError: it does not, or there is none of that name.
-    """
+    """Check that a device computes; ConfigError if it does not, or there is none of that name."""
     try:
         # Read back, because `meta` takes tensors and has nothing inside them.
         result = float(torch.ones(1, device=name).sum())
@@ -397,11 +349,7 @@ def check_device(name: str) -> None:
 
 @contextlib.contextmanager
 def memory_explained() -> Generator[None]:
-    """Report a GPU's full memory in a sentence.
-
-    Raises:
-        ConfigError: it is full.
-    """
+    """Report a GPU's full memory in a sentence; ConfigError if it is full."""
     try:
         yield
     except torch.OutOfMemoryError as error:

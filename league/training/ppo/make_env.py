@@ -1,7 +1,5 @@
 """The tracks and the worlds a learner trains in, made from the settings of a run."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
@@ -27,21 +25,14 @@ from league.training.config import GRIP_SPREAD, TrainConfig
 
 GENERATED = "generated:"
 MAX_GENERATED = 2000
-MAX_EVALUATED = 4
-"""Largest number of named tracks to evaluate on."""
-RANDOM_EVALUATED = 12
-"""Random tracks to evaluate on."""
+MAX_EVALUATED = 4  # largest number of named tracks to evaluate on
+RANDOM_EVALUATED = 12  # random tracks to evaluate on
 FIRST_EVALUATED = 1_000_000
 """Seed of the first random track to evaluate on, beyond all that are trained on."""
 
 
 def load_tracks(names: Sequence[str]) -> list[Track]:
-    """Return the tracks of some names.
-
-    Raises:
-        TrackError: there is no such track.
-        ConfigError: no names, or no number of random ones.
-    """
+    """Return the tracks of some names; TrackError or ConfigError says which is none."""
     if not names:
         raise ConfigError("no track was named: give --track NAME, `league tracks` lists them")
     tracks: list[Track] = []
@@ -54,11 +45,7 @@ def load_tracks(names: Sequence[str]) -> list[Track]:
 
 
 def count_tracks(names: Sequence[str]) -> int:
-    """Return the number of tracks of some names, without generating any.
-
-    Raises:
-        ConfigError: no number of random ones.
-    """
+    """Return the number of tracks of some names, without generating any; see `load_tracks`."""
     return sum(_num_generated(name) if name.startswith(GENERATED) else 1 for name in names)
 
 
@@ -72,8 +59,7 @@ def random_track(seed: int) -> Track:
     if seed % 3 == 0:
         return generate(seed, min_radius=0.34, length=length)
     if seed % 3 == 1:
-        narrow = generate(seed, width=(0.58, 0.95), length=length)
-        return replace(narrow, line_inside=False)
+        return replace(generate(seed, width=(0.58, 0.95), length=length), line_inside=False)
     return generate(seed, length=length)
 
 
@@ -118,6 +104,9 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         rules=replace(RULES[cfg.rules], laps=_ENDLESS),
         spread=_spread(cfg.dynamics_randomization),
     )
+    # Cars that start anywhere on a lap hardly ever meet.
+    shortest = min(Scenarios.shortest, cfg.episode_s)
+    meeting = Scenarios(shortest=shortest) if cfg.num_cars > 1 else None
     return EnvConfig(
         sim=sim,
         solver="planar",
@@ -127,10 +116,7 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         mode="training",
         reward=cfg.reward,
         episode_s=cfg.episode_s,
-        # Cars that start anywhere on a lap hardly ever meet.
-        scenarios=Scenarios(shortest=min(Scenarios.shortest, cfg.episode_s))
-        if cfg.num_cars > 1
-        else None,
+        scenarios=meeting,
     )
 
 

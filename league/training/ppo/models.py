@@ -1,15 +1,13 @@
 """rsl-rl models: a CNN for pictures as bytes, and distributions of bounded actions and choices."""
 
-from __future__ import annotations
-
 import torch
 from rsl_rl.models import CNNModel, MLPModel
 from rsl_rl.modules.distribution import Distribution, GaussianDistribution
 from tensordict import TensorDict
 from torch import Tensor, nn
 
-from league.agents.network import NetworkConfig
-from league.envs.actions import ActionSpace, ContinuousActions
+from league.envs.actions import ContinuousActions
+from league.training.config import TrainConfig
 
 
 class ByteCNNModel(CNNModel):
@@ -37,7 +35,23 @@ class ByteCNNModel(CNNModel):
         return torch.cat(features, dim=-1)
 
 
-class BoundedGaussian(GaussianDistribution):
+class _NearZero(Distribution):
+    """Has an actor's last layer scaled, so that at initialisation it outputs values near 0.
+
+    With torch's own initialisation the first update throws half of all seeds beyond the range of
+    actions for good. Andrychowicz et al., "What Matters In On-Policy Reinforcement Learning?"
+    (2020), section 3.2, scale it like this.
+    """
+
+    def init_mlp_weights(self, mlp: nn.Module) -> None:
+        """Start at the middle of each action's range, or with equal probabilities."""
+        last = [layer for layer in mlp.modules() if isinstance(layer, nn.Linear)][-1]
+        with torch.no_grad():
+            last.weight.mul_(0.01)
+            last.bias.zero_()
+
+
+class BoundedGaussian(_NearZero, GaussianDistribution):
     """A Gaussian with a mean that is pulled back where it leaves [-1, 1], the range of actions.
 
     The worlds clip actions, so beyond the range the reward has no gradient, and a mean that has
@@ -53,10 +67,6 @@ class BoundedGaussian(GaussianDistribution):
     def update(self, mlp_output: Tensor) -> None:
         """Set the means; their gradient gains the pull."""
         super().update(_Pull.apply(mlp_output, self._pull))  # type: ignore
-
-    def init_mlp_weights(self, mlp: nn.Module) -> None:
-        """Start at the middle of each action's range."""
-        _shrink_last_layer(mlp)
 
 
 class _Pull(torch.autograd.Function):
@@ -75,21 +85,14 @@ class _Pull(torch.autograd.Function):
         return gradient + ctx.pull / means.shape[0] * excess, None
 
 
-class Categorical(Distribution):
+class Categorical(_NearZero):
     """Categorical distribution of one-hot actions, (num_rows, size)."""
 
-    def __init__(self, output_dim: int) -> None:
-        """Set the number of choices."""
-        super().__init__(output_dim)
-        self._logits: Tensor | None = None
-
-    def init_mlp_weights(self, mlp: nn.Module) -> None:
-        """Start with equal probabilities."""
-        _shrink_last_layer(mlp)
+    _scores: Tensor
 
     def update(self, mlp_output: Tensor) -> None:
-        """Set the logits."""
-        self._logits = torch.log_softmax(mlp_output, dim=-1)
+        """Set the log probabilities."""
+        self._scores = torch.log_softmax(mlp_output, dim=-1)
 
     def sample(self) -> Tensor:
         """Draw a choice for each row."""
@@ -103,11 +106,6 @@ class Categorical(Distribution):
     def as_deterministic_output_module(self) -> nn.Module:
         """Return the identity."""
         return nn.Identity()
-
-    @property
-    def _scores(self) -> Tensor:
-        assert self._logits is not None
-        return self._logits
 
     @property
     def input_dim(self) -> int:
@@ -147,34 +145,14 @@ class Categorical(Distribution):
         return (old.exp() * (old - new)).sum(dim=-1)
 
 
-def _shrink_last_layer(mlp: nn.Module) -> None:
-    """Scale the last layer, so that at initialisation the actor outputs values near 0.
-
-    With torch's own initialisation the first update throws half of all seeds beyond the range of
-    actions for good. Andrychowicz et al., "What Matters In On-Policy Reinforcement Learning?"
-    (2020), section 3.2, scale it like this.
-    """
-    last = [layer for layer in mlp.modules() if isinstance(layer, nn.Linear)][-1]
-    with torch.no_grad():
-        last.weight.mul_(0.01)
-        last.bias.zero_()
-
-
-def actor_settings(
-    network: NetworkConfig, space: ActionSpace, pictures: bool, noise: float, pull: float
-) -> dict[str, object]:
-    """Return rsl-rl's settings of an actor with these layers."""
-    if isinstance(space, ContinuousActions):
-        distribution: dict[str, object] = {
-            "class_name": BoundedGaussian,
-            "pull": pull,
-            "init_std": noise,
-            "std_type": "log",
-            # Set by a schedule: by gradient it falls too slowly to race at the edge.
-            "learn_std": False,
-        }
-    else:
-        distribution = {"class_name": Categorical}
+def actor_settings(cfg: TrainConfig) -> dict[str, object]:
+    """Return rsl-rl's settings of an actor."""
+    network, pictures = cfg.network, cfg.sensors.camera is not None
+    distribution: dict[str, object] = {"class_name": Categorical}
+    if isinstance(cfg.action_space, ContinuousActions):
+        # A schedule sets the deviation: by gradient it falls too slowly to race at the edge.
+        spread = {"init_std": cfg.ppo.noise[0], "std_type": "log", "learn_std": False}
+        distribution = {"class_name": BoundedGaussian, "pull": cfg.ppo.pull, **spread}
     settings: dict[str, object] = {
         "class_name": ByteCNNModel if pictures else MLPModel,
         "hidden_dims": list(network.hidden),

@@ -1,6 +1,6 @@
 """Learning to race on the true state: one network drives all cars of many worlds.
 
-A network that sees the true state (envs/truth.py) decides 20 times as often in the same time as one
+A network that sees the true state (`truth`) decides 20 times as often in the same time as one
 that sees pictures, so passing is learnt here, and cameras learn from it (teacher.py). What makes it
 possible: a contact costs little at first and ends nothing, closing speed costs much, and the pace
 of the rivals follows success. docs/self_play.md has the measurements.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -12,26 +12,19 @@ from torch import Tensor
 
 from league.training.ppo import distributed
 
-WINDOW = 100
-"""Episodes over which means are taken; more where there are many rows."""
-LARGEST = 10.0
-"""Normalised rewards are cut off here."""
-_STANDING = 1e-3
-"""Laps in all below which the reward of a lap means nothing."""
+WINDOW = 100  # episodes over which means are taken; more where there are many rows
+LARGEST = 10.0  # normalised rewards are cut off here
+_STANDING = 1e-3  # laps in all below which the reward of a lap means nothing
 
 
 @dataclass(frozen=True)
 class Episode:
     """An episode that is over."""
 
-    completion: float
-    """Share of a lap it came from its own start, 0 to 1."""
-    reward: float
-    """Sum of its rewards."""
-    steps: int
-    """Its length."""
-    cut: bool = False
-    """Whether a save point cut it off: it would have come at least so far."""
+    completion: float  # share of a lap it came from its own start, 0 to 1
+    reward: float  # sum of its rewards
+    steps: int  # its length
+    cut: bool = False  # whether a save point cut it off: it would have come at least so far
 
 
 class EpisodeStatistics:
@@ -142,8 +135,7 @@ class Moments:
 
     count: float = 0.0
     mean: float = 0.0
-    square: float = 0.0
-    """Sum of squares about the mean."""
+    square: float = 0.0  # sum of squares about the mean
 
     def joined(self, other: Moments) -> Moments:
         """Return those of both sets (Chan et al.)."""
@@ -165,7 +157,7 @@ class RewardNormalization:
         """Start without rewards."""
         self._gamma = gamma
         self._return = torch.zeros(num_rows, device=device)
-        self._set(Moments(1e-4))
+        self.restore(Moments(1e-4))
 
     def restart(self) -> None:
         """Forget the running sums, not their spread."""
@@ -187,7 +179,7 @@ class RewardNormalization:
         seen = self._shared
         for recent in distributed.gather(self._recent):
             seen = seen.joined(recent)
-        self._set(seen)
+        self.restore(seen)
 
     @property
     def deviation(self) -> float:
@@ -195,14 +187,7 @@ class RewardNormalization:
         variance = self.seen.square / self.seen.count
         return max(variance, 1e-12) ** 0.5 if self.seen.count > 1 else 1.0
 
-    def state(self) -> dict[str, float]:
-        """Return what outlives a restart."""
-        return asdict(self.seen)
-
-    def restore(self, state: dict[str, float]) -> None:
-        """Go on from a state."""
-        self._set(Moments(**{name: float(state[name]) for name in ("count", "mean", "square")}))
-
-    def _set(self, seen: Moments) -> None:
+    def restore(self, seen: Moments) -> None:
+        """Go on from what had been seen at a save point."""
         self.seen = self._shared = seen
         self._recent = Moments()

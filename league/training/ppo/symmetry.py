@@ -1,7 +1,5 @@
 """Mirror symmetry: observations and actions of the car on the track with left and right swapped."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 
@@ -10,12 +8,12 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 from torch import Tensor
 
-from league.envs import state, truth
+from league.envs import state
 from league.envs.actions import ActionSpace
-from league.envs.observations import MOTION_FIELDS
+from league.envs.observations import MOTION_FIELDS, TRUTH_FIELDS
 from league.sim.config import LidarConfig, SensorConfig
 
-NUMBERS = {"motion": MOTION_FIELDS, "state": state.FIELDS, "truth": truth.FIELDS}
+NUMBERS = {"motion": MOTION_FIELDS, "state": state.FIELDS, "truth": TRUTH_FIELDS}
 """Fields of the groups of named numbers."""
 _SIDEWAYS = ("lateral", "heading_error", "_heading", "speed_left", "yaw_rate", "steering", "_y")
 """Ends of the names of fields that change their sign in the mirror; curvatures do, too."""
@@ -46,10 +44,10 @@ def stereo(group: Tensor, num_eyes: int, frames: int = 1) -> Tensor:
     return eyes.flip((2, 5)).reshape(group.shape)
 
 
-def lidar(group: Tensor, beams: int) -> Tensor:
+def lidar(group: Tensor, sensor: LidarConfig) -> Tensor:
     """Return the scan of the mirrored car: beams, or sectors of several numbers, in reverse."""
-    rows, size = group.shape
-    return group.reshape(rows, beams, size // beams).flip(1).reshape(rows, size)
+    rows, parts = len(group), sensor.beams if sensor.form == "ranges" else sensor.sectors
+    return group.reshape(rows, parts, -1).flip(1).reshape(rows, -1)
 
 
 def history(group: Tensor, sensors: SensorConfig) -> Tensor:
@@ -58,13 +56,8 @@ def history(group: Tensor, sensors: SensorConfig) -> Tensor:
     own, scans = readings[:, : len(MOTION_FIELDS)], readings[:, len(MOTION_FIELDS) :]
     mirrored = numbers(own, MOTION_FIELDS)
     if sensors.lidar is not None:
-        mirrored = torch.cat([mirrored, lidar(scans, _parts(sensors.lidar))], dim=1)
+        mirrored = torch.cat([mirrored, lidar(scans, sensors.lidar)], dim=1)
     return mirrored.reshape(group.shape)
-
-
-def _parts(sensor: LidarConfig) -> int:
-    """Return the beams, or sectors of several numbers, of a scan."""
-    return sensor.beams if sensor.form == "ranges" else sensor.sectors
 
 
 def observations(groups: TensorDict, sensors: SensorConfig) -> TensorDict:
@@ -77,7 +70,7 @@ def observations(groups: TensorDict, sensors: SensorConfig) -> TensorDict:
             mirrored[name] = stereo(group, sensors.camera.num_eyes, sensors.frames)
         elif name == "lidar":
             assert sensors.lidar is not None
-            mirrored[name] = lidar(group, _parts(sensors.lidar))
+            mirrored[name] = lidar(group, sensors.lidar)
         elif name == "history":
             mirrored[name] = history(group, sensors)
         else:

@@ -14,26 +14,31 @@ from league.errors import StoreError
 from league.matchmaking import standings
 from league.matchmaking.history import HistoryPoint, history, own_history
 from league.matchmaking.pairing import matchmaker
+from league.matchmaking.ratings.table import Strengths
 from league.matchmaking.scores import (
-    FinalRatings,
     RaceScore,
+    final_ratings,
     heat_scores,
     race_scores,
     scores_by_season,
 )
-from league.matchmaking.standings import HeadToHead, Row, Standings, Strengths
-from league.matchmaking.store import HeatRecord, LeagueEntry, Races, Season, StoredResult
-from league.track import files
-from league.video import strip
+from league.matchmaking.standings import HeadToHead, OwnRaces, Row, Standings
+from league.matchmaking.store import (
+    HeatRecord,
+    HeatState,
+    LeagueEntry,
+    Races,
+    Season,
+    StoredResult,
+)
+from league.video import stills
 from league.web import charts
 from league.web.pages import table
+from league.web.pages.laps import lap_line
 from league.web.pages.seasons import frozen
-from league.web.pages.tracks import lap_line
-from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number
+from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number, raced
 from league.web.snapshot import digest_of, parents_of
 
-NEWEST = 40
-"""Newest heats that are looked at."""
 FIRST_HEATS = 8
 """Heats of a new entry that are followed live."""
 WAITING = ("planned", "claimed")
@@ -62,14 +67,15 @@ def document(reader: Reader, number: int) -> Document:
     """Return an entry: its rating and how it came about, its record, its heats, its card."""
     entry, now = reader.entry(number), reader.snapshot()
     rated, row = now.rated, now.rows.get(number)
-    raced = reader.store.heats(entries=[number], limit=NEWEST, newest=True)
-    over = [record for record in raced if record.state not in (*WAITING, "cancelled")]
-    moments = _history(reader, entry, rated) if rated and row and row.races else []
-    best, worst = _extremes(rated, number) if rated and row else ([], [])
-    newest = over[-HEATS:][::-1]
-    extreme = reader.store.heats(numbers=[one["number"] for one in best + worst])
-    results = reader.results(newest + extreme)
-    listed = {line["number"]: line for line in reader.listed(newest + extreme, results=results)}
+    states = reader.store.heat_states(number)
+    newest = [heat for heat, state in states.items() if state in OVER][: -HEATS - 1 : -1]
+    own = rated.own_races(number) if rated and row else None
+    best, worst = _extremes(own) if own else ([], [])
+    wanted = {*newest, *(one["number"] for one in best + worst)}
+    records = reader.store.heats(numbers=[*wanted])
+    results = reader.results(records)
+    listed = {line["number"]: line for line in reader.listed(records, results=results)}
+    moments = _history(reader, entry, rated, own) if rated and own and row and row.races else []
     return {
         "entry": entry,
         "standing": row,
@@ -80,15 +86,15 @@ def document(reader: Reader, number: int) -> Document:
         "chart": charts.rating_history(moments, table.season_moments(reader, number))
         if moments and moments[0].races < moments[-1].races
         else None,
-        "against": _neighbours(rated, row) if rated and row else [],
+        "against": _neighbours(rated, row, own) if rated and row and own else [],
         "best": [{**listed[one["number"]], **one} for one in best],
         "worst": [{**listed[one["number"]], **one} for one in worst],
         "laps": _laps(reader, number),
-        "heats": [listed[record.number] for record in newest],
-        "num_heats": reader.store.num_done(number),
-        "waiting": sum(record.state in WAITING for record in raced),
-        "joining": _joining(reader, entry, raced),
-        "camera": _camera(entry, newest, results),
+        "heats": [listed[heat] for heat in newest],
+        "num_heats": sum(state == "done" for state in states.values()),
+        "waiting": sum(state in WAITING for state in states.values()),
+        "joining": _joining(reader, entry, states),
+        "camera": _camera(entry, [one for one in records[::-1] if one.number in newest], results),
         "card": _card(entry),
         "ancestors": ancestors(now.by_digest, entry),
         "children": [
@@ -98,28 +104,30 @@ def document(reader: Reader, number: int) -> Document:
     }
 
 
-def _joining(reader: Reader, entry: LeagueEntry, raced: list[HeatRecord]) -> Document | None:
+def _joining(
+    reader: Reader, entry: LeagueEntry, states: Mapping[int, HeatState]
+) -> Document | None:
     """Return how far a new entry is: what it waits for, and its first heats; None for others."""
-    first = raced[:FIRST_HEATS]
-    over = len(first) == FIRST_HEATS and not any(one.state in WAITING for one in first)
+    first = [*states][:FIRST_HEATS]
+    over = len(first) == FIRST_HEATS and not any(states[heat] in WAITING for heat in first)
     if entry.anchor or over or entry.state not in ("pending", "validating", "placement"):
         return None
     waits = "" if entry.state == "placement" else matchmaker.waits_for(reader.store, entry)
-    return {"waits_for": waits, "heats": reader.listed(first)}
+    return {"waits_for": waits, "heats": reader.listed(reader.store.heats(numbers=first))}
 
 
-def _neighbours(rated: Standings, row: Row) -> list[tuple[Row, HeadToHead | None]]:
+def _neighbours(rated: Standings, row: Row, own: OwnRaces) -> list[tuple[Row, HeadToHead | None]]:
     """Return the entries around one in the standings, and its record against each."""
-    first, met = max(0, row.rank - 1 - NEIGHBOURS), standings.meetings(rated, row.number)
+    first, met = max(0, row.rank - 1 - NEIGHBOURS), standings.meetings(rated, own)
     return [
         (other, met.get(other.number, standings.UNMET) if other.number != row.number else None)
         for other in rated.rows[first : row.rank + NEIGHBOURS]
     ]
 
 
-def _extremes(rated: Standings, number: int) -> tuple[list[Document], list[Document]]:
+def _extremes(own: OwnRaces) -> tuple[list[Document], list[Document]]:
     """Return the heats that went better than the ratings promised, and worse, the most so first."""
-    heats, points, expected = heat_scores(rated, number)
+    heats, points, expected = heat_scores(own)
     beyond = points - expected
 
     def first(surplus: np.ndarray) -> list[Document]:
@@ -136,12 +144,12 @@ def _extremes(rated: Standings, number: int) -> tuple[list[Document], list[Docum
 
 def _laps(reader: Reader, number: int) -> list[Document]:
     """Return an entry's best clean lap on each track: its place among all, its medal, its race."""
-    lines = []
-    for name, laps in reader.snapshot().clean_laps.items():
-        place = next((at for at, lap in enumerate(laps) if lap.number == number), None)
+    lines, now = [], reader.snapshot()
+    for name, laps in now.clean_laps.items():
+        place = now.lap_places[name].get(number)
         if place is None:
             continue
-        lap, bound_s = laps[place], reader.bound_s(files.load(name))
+        lap, bound_s = laps[place], reader.bound_s(name)
         over = lap.lap_s / bound_s if bound_s else None
         own = {"track": name, "place": place + 1, "over_bound": over}
         lines.append({**lap_line(lap, bound_s), **own})
@@ -163,27 +171,28 @@ def _camera(
 ) -> Document | None:
     """Return the newest recorded race of an entry, and the moments that its film strip shows."""
     for record in records:
-        for half, race in enumerate(record.heat.halves):
-            result = accepted(results[record.number], half)
-            if result is None or not result.replay or entry.id not in race.grid:
+        for number, race, result in raced(record, results[record.number]):
+            if not result.replay or entry.id not in race.grid:
                 continue
             car = race.grid.index(entry.id)
             row = next(row for row in result.result["order"] if row["car"] == car)
             total_s = row["total_s"] if row["finished"] else math.inf
             return {
                 "heat": record.number,
-                "race": half + 1,
+                "race": number,
                 "car": car + 1,
                 "track": race.track,
-                "moments_s": strip.moments(total_s, result.result["race_s"]),
+                "moments_s": stills.strip_moments(total_s, result.result["race_s"]),
             }
     return None
 
 
-def _history(reader: Reader, entry: LeagueEntry, rated: Standings) -> list[HistoryPoint]:
+def _history(
+    reader: Reader, entry: LeagueEntry, rated: Standings, own: OwnRaces
+) -> list[HistoryPoint]:
     """Return an entry's history, as of the league's newest race; none before its first race."""
     if rated.num_races > FITTED_RACES:
-        return own_history(rated, entry.number, points=HISTORY_POINTS)
+        return own_history(rated, own, points=HISTORY_POINTS)
 
     def moments() -> list[HistoryPoint]:
         try:
@@ -279,8 +288,11 @@ def matchup(reader: Reader, one: int, other: int, before: str = "", season: str 
         raise NotFoundError(f"This league has no season {season[:20]!r}.")
     rows = now.rows.get(one), now.rows.get(other)
     both = now.rated if all(rows) else None
-    scores = race_scores(both, one, other) if both else []
     met = reader.store.heats(entries=[one, other])
+    scores, record = [], standings.UNMET if both else None
+    if both and met:
+        scores = race_scores(both, one, other)
+        record = standings.head_to_head(both, one, other)
     by_season = _by_season(reader, both, one, other, met) if both else {}
     records = [record for record in met if record.state in OVER]
     if end is not None:
@@ -294,7 +306,7 @@ def matchup(reader: Reader, one: int, other: int, before: str = "", season: str 
         "standings": rows,
         "difference": both.ratings.difference(one, other) if both else None,
         "season": both.season if both else None,
-        "record": standings.head_to_head(both, one, other) if both else None,
+        "record": record,
         "chart": charts.points_chart(scores) if len(scores) > 1 else None,
         "tracks": _points_by_track(scores),
         "heats": _races_met(
@@ -333,7 +345,7 @@ def _by_season(
         document = frozen(reader, season) if season else None
         if season is None or document is None:
             return both.ratings
-        return reader.kept(("ratings", season.number), lambda: FinalRatings.of(document))
+        return reader.kept(("ratings", season.number), lambda: final_ratings(document))
 
     under = [(raced(hash), rules.tracks) for hash, rules in now.rulesets.items() if hash in hashes]
     return scores_by_season(under, now.seasons, ratings, one, other)

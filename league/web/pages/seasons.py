@@ -6,8 +6,7 @@ from typing import Any
 
 from league.matchmaking import cups
 from league.matchmaking.store import Cup, Season
-from league.web.paging import address, paging
-from league.web.reader import Document, NotFoundError, Reader
+from league.web.reader import Document, NotFoundError, Reader, address, paging
 
 TOP = 3
 """Entries that lead the running season."""
@@ -85,8 +84,8 @@ def _season(reader: Reader, known: Season) -> Document:
 def _table(document: Document, known: Season, page: str) -> Document:
     """Return a page of a frozen season's table, and what was frozen of the entries on it."""
     rows = document.get("standings", {}).get("entries", [])
-    at = paging(len(rows), page, "final standings", f"/seasons/{known.number}", {})
-    shown = rows[at.first : at.end]
+    lines, paged = paging(len(rows), page, "final standings", f"/seasons/{known.number}", {})
+    shown = rows[lines]
     numbers = {row["number"] for row in shown}
     of_entry = {
         name: {n: one for n, one in document.get(name, {}).items() if int(n) in numbers}
@@ -97,7 +96,7 @@ def _table(document: Document, known: Season, page: str) -> Document:
         for track, own in document.get("laps", {}).items()
     }
     divided = bool(document.get("divisions"))
-    return {**at.document, "rows": shown, **of_entry, "laps": laps, "divided": divided}
+    return {**paged, "rows": shown, **of_entry, "laps": laps, "divided": divided}
 
 
 TO_COME: Document = {"number": None, "state": None, "track": None, "runs": []}
@@ -125,12 +124,12 @@ def cup(reader: Reader, number: int, round: str = "", page: str = "") -> Documen
         raise NotFoundError(f"In this cup {known_rounds} a page of its own.")
     if round:
         one, qualifying = rounds[int(round) - 1], None
-        at = paging(len(one["heats"]), page, "heats", path, {"round": round}, HEATS)
-        shown = [{**one, "heats": one["heats"][at.first : at.end]}]
+        lines, paged = paging(len(one["heats"]), page, "heats", path, {"round": round}, HEATS)
+        shown = [{**one, "heats": one["heats"][lines]}]
     else:
-        at = paging(entrants, page, "qualifying results", path, {})
+        lines, paged = paging(entrants, page, "qualifying results", path, {})
         shown = rounds[large:]
-        qualifying = {**qualifying, "heats": qualifying["heats"][at.first : at.end]}
+        qualifying = {**qualifying, "heats": qualifying["heats"][lines]}
     return {
         "cup": known,
         "entrants": entrants,
@@ -146,7 +145,7 @@ def cup(reader: Reader, number: int, round: str = "", page: str = "") -> Documen
             for place, one in enumerate(rounds[:large], 1)
         ],
         "order": document["order"],
-        **at.document,
+        **paged,
     }
 
 

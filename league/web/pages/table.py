@@ -12,9 +12,8 @@ from league.matchmaking import divisions, history, safety, standings
 from league.matchmaking.scope import SEASON_SD
 from league.matchmaking.standings import HeadToHead, Row, Standings
 from league.web import charts
-from league.web.pages.tracks import MEDALS
-from league.web.paging import address, paging
-from league.web.reader import Document, NotFoundError, Reader
+from league.web.pages.laps import MEDALS
+from league.web.reader import Document, NotFoundError, Reader, address, is_number, paging
 from league.web.snapshot import kind_of
 
 PATH = "/standings"
@@ -139,12 +138,15 @@ def document(
     rows = rated.rows if rated else ()
     rival = None
     if against:
-        rival = next((row for row in rows if against in (str(row.number), row.name)), None)
+        rival = _rival(rated, against) if rated else None
     if against and rival is None:
         names = sorted(row.name for row in rows)
         unknown.append(_unknown("driver", against, names, "drivers are"))
         against = ""
-    shown = [row for row in rows if row.owner == owner] if owner else rows
+    shown = rows
+    if owner and rated:
+        own = [rated.by_number.get(entry.number) for entry in now.by_owner[owner]]
+        shown = sorted(filter(None, own), key=lambda row: row.rank)
     if kind:
         shown = [row for row in shown if kind_of(now.by_number[row.number]) == kind]
     if sort not in ORDERS:
@@ -153,8 +155,10 @@ def document(
         shown = sorted(shown, key=partial(ORDERS[sort], track or rules["tracks"][0]))
     asked = {"owner": owner, "kind": kind, "track": track, "cars": cars, "against": against}
     asked = {name: text for name, text in asked.items() if text}
-    at = paging(len(shown), page, "standings", PATH, {**asked, "sort": sort} if sort else asked)
-    on_page = shown[at.first : at.end]
+    lines, paged = paging(
+        len(shown), page, "standings", PATH, {**asked, "sort": sort} if sort else asked
+    )
+    on_page = shown[lines]
     return {
         "rules": rules,
         "unknown": unknown,
@@ -166,7 +170,7 @@ def document(
         "season": rated.season if rated else None,
         "marks": marks_of(reader, on_page),
         "entries": len(shown),
-        **at.document,
+        **paged,
         "sort": sort,
         "sorts": {
             name: "" if name == sort else address(PATH, {**asked, "sort": name} if name else asked)
@@ -182,6 +186,12 @@ def document(
     }
 
 
+def _rival(rated: Standings, against: str) -> Row | None:
+    """Return the line of the driver with this number, or name."""
+    number = int(against) if is_number(against) else 0
+    return rated.by_number.get(number) or next((r for r in rated.rows if r.name == against), None)
+
+
 def _options(found: Collection[T]) -> Collection[T]:
     return found if len(found) <= MOST_OPTIONS else ()
 
@@ -195,7 +205,7 @@ def _unknown(name: str, text: str, known: Sequence[str], are: str) -> str:
 
 def _records(rated: Standings, rival: Row, rows: Sequence[Row]) -> dict[int, HeadToHead]:
     """Return the record of each entry against the rival, by its number; only those that met it."""
-    met = standings.meetings(rated, rival.number)
+    met = standings.meetings(rated, rated.own_races(rival.number))
     return {row.number: met[row.number].turned for row in rows if row.number in met}
 
 

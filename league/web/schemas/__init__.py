@@ -13,10 +13,10 @@ from league.matchmaking.scores import BestLap
 from league.matchmaking.seasons import Trophy
 from league.matchmaking.standings import HeadToHead, Row
 from league.matchmaking.store import Cup, LeagueEntry, Season
+from league.web.charts import ComparedLaps, SpeedMap
 from league.web.pages.driver import Ancestor
-from league.web.pages.heat import LapFaults
+from league.web.pages.heats import LapFaults
 from league.web.pages.table import Marks
-from league.web.race_charts import ComparedLaps, SpeedMap
 
 for _known in (
     *(Ancestor, BestLap, ComparedLaps, Cup, Difference, HeadToHead, HistoryPoint, LapFaults),

@@ -11,9 +11,9 @@ from league.matchmaking.ratings.table import Difference
 from league.matchmaking.standings import HeadToHead, Row
 from league.matchmaking.store import EntryState, HeatState, LeagueEntry, Season
 from league.sim.config import RaceKind
+from league.web.charts import ComparedLaps, SpeedMap
 from league.web.pages.driver import Ancestor
 from league.web.pages.table import Marks
-from league.web.race_charts import ComparedLaps, SpeedMap
 from league.web.schemas.races import (
     Answer,
     HeatLine,

@@ -1,17 +1,33 @@
-"""A heat and its races: results, faults on each lap, charts, and what the player draws."""
+"""Heats: the home page, the newest ones, what races now, and all about one of them."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from league.matchmaking.documents import heat_document
-from league.matchmaking.store import HeatRecord, RaceOutcome, StoredResult
+from league.matchmaking.store import DoneHeat, HeatRecord, RaceOutcome, StoredResult
 from league.race_spec import RaceResult
 from league.replay import Replay
-from league.web import charts, race_charts
-from league.web.reader import Document, NotFoundError, Reader, accepted
+from league.web import charts
+from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number, paging
 from league.web.replay_data import events, player_data
 
+_Contest = tuple[int, float, int, str]
+"""How often cars passed in a race, less its gap at the end [s], its heat, and its number in it."""
+RECENT = 60
+"""Newest heats that are listed, and among which the most contested race is looked for."""
+TOP = 8
+"""Entries of the standings on the home page."""
+LISTED = 6
+"""Heats that are racing, and newest results, on the home page at most."""
+WINDOW_S = 300.0
+"""Time over which heats per minute are counted [s]."""
+COUNTED = 1000
+"""Newest heats among which they are counted."""
+LISTED_LIVE = 20
+"""Heats of each list of what races now, at most."""
 FAULT_WORDS = {
     "off_track": "off",
     "crash": "contact",
@@ -27,7 +43,132 @@ UNPENALISED = ("touch", "wall_contact")
 """Kinds of which the value is no penalty."""
 
 
-def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Document:
+def home(reader: Reader) -> Document:
+    """Return the most contested recent race, the standings' top, what races, newest results."""
+    now, counts = reader.snapshot(), reader.counts()
+    rated = now.rated
+    featured = _most_contested(reader)
+    return {
+        "rules": reader.rules(),
+        "counts": counts,
+        "races": rated.num_races if rated else 0,
+        "featured": summary(reader, *featured) if featured else None,
+        "scale": charts.interval_scale(rated.rows) if rated else None,
+        "rows": rated.rows[:TOP] if rated else (),
+        "entries": len(now.entries),
+        "running": [
+            heat_document(one, reader.names)
+            for one in reader.store.heats(("claimed",), limit=LISTED)
+        ],
+        "newest": reader.listed(reader.newest(LISTED)),
+    }
+
+
+def _most_contested(reader: Reader) -> tuple[int, str] | None:
+    """Return the number of a heat and of its race with the most passes, then the closest one."""
+    rated = [one.number for one in reader.newest(RECENT) if one.heat.purpose == "rated"]
+    before: dict[int, list[_Contest]] = reader.kept("contests", dict)
+    new = reader.store.results(*(number for number in rated if number not in before))
+    contests = {number: before.get(number, []) for number in rated}
+    for result in new:
+        if result.replay and not result.rejected:
+            contests[result.heat] = [*contests[result.heat], _contest(result)]
+    reader.keep("contests", contests)
+    most = max((one for own in contests.values() for one in own), default=None)
+    return most[2:] if most else None
+
+
+def _contest(result: StoredResult) -> _Contest:
+    order = result.result["order"]
+    passes = result.result["lead_changes"] + sum(car["overtakes"] for car in order)
+    finished = [car["total_s"] for car in order if car["finished"]]
+    gap_s = finished[1] - finished[0] if len(finished) > 1 else 1e6
+    return int(passes), -float(gap_s), result.heat, str(result.half + 1)
+
+
+def feed(reader: Reader) -> Document:
+    """Return the newest heats that are done, the last one first."""
+    return {"heats": reader.listed(reader.newest(RECENT))}
+
+
+def heats(reader: Reader, driver: str = "", page: str = "") -> Document:
+    """Return a page of the heats that are done, the newest first, of all or of a `driver`.
+
+    Those of a driver tell how it did in each race.
+    """
+    store = reader.store
+    entry = reader.entry(heat_number(driver, "driver")) if driver else None
+    of = entry.number if entry else None
+    counts = reader.counts()
+    count = counts.get("done", 0) if of is None else store.num_done(of)
+    lines, paged = paging(count, page, "heats", "/heats", {"driver": driver} if driver else {})
+    records = store.done(entry=of, skip=lines.start, limit=lines.stop - lines.start)
+    row = reader.snapshot().rows.get(of or 0)
+    return {
+        "heats": reader.listed(records, of=entry),
+        "counts": counts,
+        "count": count,
+        "driver": entry,
+        "races": row.races if row else 0,
+        **paged,
+    }
+
+
+def live(reader: Reader) -> Document:
+    """Return the running heats, the queue, the workers, the pace, and what needs attention."""
+    store, now_s, names = reader.store, time.time(), reader.names
+    counts, running = reader.counts(), store.heats(("claimed",))
+    newest = reader.newest(LISTED_LIVE)
+    done = [one for one in store.newest_done(COUNTED) if now_s - (one.done_s or 0.0) < WINDOW_S]
+    finished = [one for one in newest if now_s - (one.done_s or 0.0) < WINDOW_S]
+    per_minute = 60 * len(done) / WINDOW_S
+
+    def listed(records: Sequence[HeatRecord]) -> list[Document]:
+        return [heat_document(record, names) for record in records[:LISTED_LIVE]]
+
+    return {
+        "newest": _newest(reader, newest),
+        "counts": counts,
+        "per_minute": per_minute,
+        "wait_minutes": counts.get("planned", 0) / per_minute if per_minute else None,
+        "running": listed(running),
+        "progress": {one.number: reader.progress(one) for one in running[:LISTED_LIVE]},
+        "queue": listed(store.heats(("planned",), limit=LISTED_LIVE)),
+        "workers": _workers(running, done),
+        "finished": reader.listed(finished),
+        "troubled": listed(store.heats(("error", "quarantined"))[::-1]),
+        "joining": [
+            {"number": entry.number, "name": entry.name, "state": entry.state}
+            for entry in store.entries(("pending", "validating"))
+        ],
+        "window_s": WINDOW_S,
+    }
+
+
+def _newest(reader: Reader, records: Sequence[HeatRecord]) -> Document | None:
+    """Return the first race of the first of some heats that was recorded."""
+    for record in records:
+        found = summary(reader, record.number)
+        if found["recording"]:
+            return found
+    return None
+
+
+def _workers(running: Sequence[HeatRecord], done: Sequence[DoneHeat]) -> list[Document]:
+    """Return who raced lately, or does: heats under way, heats done, when the last one was."""
+    names = sorted({one.worker for one in (*running, *done) if one.worker})
+    return [
+        {
+            "name": name,
+            "racing": sum(one.worker == name for one in running),
+            "done": sum(one.worker == name for one in done),
+            "last_s": max((one.done_s or 0.0 for one in done if one.worker == name), default=None),
+        }
+        for name in names
+    ]
+
+
+def heat(reader: Reader, number: int, race: str = "", lap: str = "") -> Document:
     """Return a heat, and all about one of its races, by default the first; see PAGES."""
     at = _race(reader, number, race)
     order = at.result.result["order"] if at.result else []
@@ -46,7 +187,7 @@ def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Docu
         "seed": at.record.seeds[at.half] if at.record.seeds else None,
         "ruleset": at.record.heat.ruleset,
         "best_lap_s": min(laps_s, default=None),
-        "positions": race_charts.position_chart(order, names) if laps else None,
+        "positions": charts.position_chart(order, names) if laps else None,
         "gaps": drawn.gaps if drawn else None,
         "laps": laps,
         "faults": wrong,
@@ -153,20 +294,20 @@ def _drawn(reader: Reader, at: _Race) -> _Drawn | None:
         ("drawn", at.result.replay),
         lambda: _Drawn(
             map=charts.track_map(replay.track),
-            gaps=race_charts.gap_chart(replay),
+            gaps=charts.gap_chart(replay),
             faults=faults_by_lap(replay.result),
             events=events(replay),
         ),
     )
 
 
-def _compared(reader: Reader, at: _Race, lap: int | None) -> race_charts.ComparedLaps | None:
+def _compared(reader: Reader, at: _Race, lap: int | None) -> charts.ComparedLaps | None:
     """Return a lap (from 1) of each car over each other, by default each one's best."""
     if at.replay is None or at.result is None:
         return None
     replay = at.replay
     key = ("compared", at.result.replay, lap)
-    return reader.kept(key, lambda: race_charts.of(replay, lap))
+    return reader.kept(key, lambda: charts.compared_laps(replay, lap))
 
 
 def _proof(reader: Reader, at: _Race) -> Document:

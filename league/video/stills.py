@@ -1,4 +1,4 @@
-"""Pictures for people: a camera that chases a car, and the whole track from above."""
+"""Pictures for people: a camera that chases a car, the track from above, and film strips."""
 
 import math
 from dataclasses import replace
@@ -7,15 +7,16 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from league.errors import ConfigError
+from league.errors import ConfigError, ReplayError
+from league.replay import Replay
 from league.sim.camera.ground import floor_of
-from league.sim.camera.renderer import Painter
-from league.sim.camera.scene import BOX, CAR, GLASS, lit
-from league.sim.camera.scene_state import Lens, SceneState, Thing
+from league.sim.camera.renderer import Painter, PaintRenderer
+from league.sim.camera.scene import BOX, CAR, GLASS, MODELS, lit
+from league.sim.camera.scene_state import Lens, SceneState
 from league.sim.camera.tables import Pose
-from league.sim.config import SimConfig
+from league.sim.config import CameraConfig, SimConfig
 from league.sim.records import World
-from league.track.markings import SHIFT, Plan, placed
+from league.track.markings import SHIFT, Colour, Plan, placed
 from league.track.track import Track, TrackSet
 
 CHASE_BEHIND = 0.78
@@ -27,23 +28,19 @@ CHASE_PITCH = 0.33
 CHASE_FIELD_OF_VIEW = 1.15
 """Across [rad]."""
 
+STRIP_COLUMNS, STRIP_ROWS = 4, 2
+STRIP_CAMERA = CameraConfig(width=240, height=180, colour=True, eyes="left")
+"""The stock mount and lens, with more pixels than the drivers get, so that people see something."""
+STRIP_QUALITY = 80
+"""Of the JPEG."""
+
 _FINER = 2  # drawn this much larger, then averaged: smooth edges
 _BACKDROP = (24, 29, 36)
 _SMOOTHED = 2_000_000  # pixels of the largest picture for which that is done
 _SMALLEST_CAR = 16  # pixels from nose to tail in the view from above
 _DARK = (16, 18, 22)
-_OUTLINE = np.array(
-    [
-        (0.162, 0.045),
-        (0.128, 0.094),
-        (-0.140, 0.098),
-        (-0.162, 0.080),
-        (-0.162, -0.080),
-        (-0.140, -0.098),
-        (0.128, -0.094),
-        (0.162, -0.045),
-    ]
-)
+_LEFT_SIDE = np.array([(0.162, 0.045), (0.128, 0.094), (-0.140, 0.098), (-0.162, 0.080)])
+_OUTLINE = np.concatenate([_LEFT_SIDE, _LEFT_SIDE[::-1] * (1, -1)])
 _SQUARE = np.array([(0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)])
 _WINDSCREEN = np.array([(0.062, 0.072), (0.010, 0.060), (0.010, -0.060), (0.062, -0.072)])
 
@@ -63,9 +60,10 @@ def chase_view(
     x, y, yaw = world.cars[["x", "y", "yaw"]][row, car].tolist()
     pose = _behind(x, y, yaw, track.room)
     floor = floor_of(track, lens, CHASE_UP, CHASE_PITCH, colour=True)
-    picture = np.empty((1, lens.height, lens.width, 3), np.uint8)
-    Painter(lens, gray=False).paint(picture, pose, floor, state.things(0))
-    return cv2.resize(picture[0], (width, height), interpolation=cv2.INTER_AREA)
+    picture = np.empty((1, 1, lens.height, lens.width, 3), np.uint8)
+    only, things = np.zeros(1, np.int64), state.things(gray=False)
+    Painter(lens, gray=False).paint(only, picture, np.array([pose]), things, floor)
+    return cv2.resize(picture[0, 0], (width, height), interpolation=cv2.INTER_AREA)
 
 
 def top_view(
@@ -94,32 +92,34 @@ def draw_things(
         line: width of a fine line [px].
         numbers: write each car's number on the left of its way.
     """
-    things, num_cars = state.things(0), state.num_cars
+    things, num_cars = state.things()[0], state.num_cars
+    length = 2 * size * CAR.half_length
     # The first car on top.
     for slot in [*range(num_cars, len(things)), *reversed(range(num_cars))]:
-        thing = things[slot]
-        place = thing.x, thing.y, thing.cos, thing.sin
-        if thing.model is BOX:
-            box = placed(_SQUARE * thing.scale[:2], *place)
-            red, green, blue = thing.colour
-            plan.fill(box, thing.colour)
+        model, x, y, cos, sin, _, along, across, _, red, green, blue, *_ = things[slot].tolist()
+        place, colour = (x, y, cos, sin), (red, green, blue)
+        if MODELS[int(model)] is BOX:
+            box = placed(_SQUARE * (along, across), *place)
+            plan.fill(box, colour)
             plan.edge(box, (0.6 * red, 0.6 * green, 0.6 * blue), line)
         else:
             plan.fill(placed(1.22 * size * _OUTLINE, *place), _DARK)
-            plan.fill(placed(size * _OUTLINE, *place), thing.colour)
+            plan.fill(placed(size * _OUTLINE, *place), colour)
             plan.fill(placed(size * _WINDSCREEN, *place), GLASS)
             if numbers and slot < num_cars:
-                _number(plan, thing, str(slot + 1), 2 * size * CAR.half_length, line)
+                left_of_it = placed(np.array([(0.0, 0.85 * length)]), *place)
+                _number(plan, left_of_it, colour, str(slot + 1), length, line)
 
 
-def _number(plan: Plan, thing: Thing, number: str, length: float, line: int) -> None:
-    """Write a number on the left of a car that is drawn at a length [m]."""
-    place = placed(np.array([(0.0, 0.85 * length)]), thing.x, thing.y, thing.cos, thing.sin)
+def _number(
+    plan: Plan, place: np.ndarray, colour: Colour, number: str, length: float, line: int
+) -> None:
+    """Write the number of a car that is drawn at a length [m] at a place [m], (1, 2)."""
     column, row = (plan.pixels(place)[0] >> SHIFT).tolist()
     radius = max(int(0.36 * length / plan.pixel), 7 * line)
     cv2.circle(plan.picture, (column, row), radius, _DARK, -1, cv2.LINE_AA)
     ring = max(line, radius // 6)
-    cv2.circle(plan.picture, (column, row), radius, thing.colour, ring, cv2.LINE_AA)
+    cv2.circle(plan.picture, (column, row), radius, colour, ring, cv2.LINE_AA)
     font, size, thick = cv2.FONT_HERSHEY_SIMPLEX, radius / 20, max(1, round(radius / 8))
     (wide, high), _ = cv2.getTextSize(number, font, size, thick)
     corner = (column - wide // 2, row + high // 2)
@@ -158,3 +158,32 @@ def _behind(x: float, y: float, yaw: float, room: tuple[float, float, float, flo
     # The nearer it has to be, the more it looks down, and the car keeps its row of the picture.
     pitch = CHASE_PITCH + math.atan(CHASE_UP / away) - math.atan(CHASE_UP / CHASE_BEHIND)
     return Pose(behind_x, behind_y, CHASE_UP, cos, sin, math.cos(pitch), math.sin(pitch))
+
+
+def strip_moments(total_s: float, race_s: float) -> list[float]:
+    """Return the race times [s] that a film strip shows, evenly spread over a car's own race.
+
+    Of a car that was never over the line, `total_s` is infinite.
+    """
+    count, end_s = STRIP_COLUMNS * STRIP_ROWS, min(total_s, race_s)
+    return [round(end_s * (number + 0.5) / count, 1) for number in range(count)]
+
+
+def strip(replay: Replay, car: int) -> bytes:
+    """Return what a car (from 0) saw in its race as JPEG: rows of pictures, the earliest first.
+
+    Raises:
+        ReplayError: the race has no such car.
+    """
+    if not 0 <= car < replay.num_cars:
+        raise ReplayError(f"car {car + 1} is not in this race: give 1 to {replay.num_cars}")
+    result, camera = replay.result, STRIP_CAMERA
+    driven = next(row for row in result.order if row.car == car)
+    times_s = strip_moments(driven.total_s if driven.finished else np.inf, result.race_s)
+    renderer = PaintRenderer(replay.tracks, replay.sim, camera)
+    planes = renderer.render(replay.at(np.array(times_s)), car)
+    cells = list(planes.transpose(0, 2, 3, 1))
+    starts = range(0, len(cells), STRIP_COLUMNS)
+    sheet = np.vstack([np.hstack(cells[first : first + STRIP_COLUMNS]) for first in starts])
+    quality = [cv2.IMWRITE_JPEG_QUALITY, STRIP_QUALITY]
+    return cv2.imencode(".jpg", sheet[..., ::-1], quality)[1].tobytes()

@@ -1,37 +1,134 @@
-"""Ghosts: any two laps on a track against each other."""
+"""Laps: the best ones on each track with maps and medals, boards, and any two over each other."""
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
-import numpy as np
-
-from league import times
-from league.matchmaking.scores import BestLap
+from league.matchmaking.scores import BestLap, Boards, time_attack
 from league.matchmaking.store.race_table import is_clean
 from league.replay import Replay
-from league.replay.replay import seconds_behind
+from league.sim.config import RaceKind
+from league.track import files
 from league.track.track import Track
-from league.web import charts, race_charts
-from league.web.pages import heat as heats
-from league.web.pages import tracks
-from league.web.race_charts import Lap
-from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number
-from league.web.replay_data import drawn_car, drawn_track
+from league.web import charts
+from league.web.charts import Lap, SpeedMap
+from league.web.pages import heats
+from league.web.reader import (
+    Document,
+    NotFoundError,
+    Reader,
+    heat_number,
+    is_number,
+    raced,
+)
+from league.web.replay_data import ghosts_data
 
-MOST = 100
+MEDALS = {"platinum": 1.03, "gold": 1.10, "silver": 1.20, "bronze": 1.35}
+"""Largest lap time of each, over the lap bound (racing_line/racing_line.py)."""
+RECORDS = 10
+"""Fastest drivers of each track."""
+MOST_ON_BOARD = 50
+"""Drivers on a board."""
+TITLES = {
+    "head_to_head": "Head to head",
+    "time_trial": "Time trial",
+    "obstacle_avoidance": "Obstacle avoidance",
+}
+MOST_OFFERED = 100
 """Fastest drivers on a track that are offered; others are reached from their own pages."""
 TRIED = 20
 """Fastest drivers among which recorded laps are looked for where none is asked for."""
 LAP = re.compile(r"(\d{1,15})\.(\d{1,2})\.(\d{1,2})\.(\d{1,4})")
-STEP_HZ = 15
-"""Frames in a second of what the player gets."""
-CLEAR = 0.15
-"""A ghost leads once it is so far ahead [m]: half a car's length, as in a race."""
+
+
+def medal(lap_s: float, bound_s: float | None) -> str:
+    """Return the best medal that a clean lap earns; empty for none or no bound."""
+    if bound_s is None:
+        return ""
+    return next((name for name, most in MEDALS.items() if lap_s <= most * bound_s), "")
+
+
+def medal_times(bound_s: float | None) -> dict[str, float]:
+    """Return the lap time that each medal asks for [s]; none where the bound is unknown."""
+    return {name: most * bound_s for name, most in MEDALS.items()} if bound_s else {}
+
+
+def tracks(reader: Reader) -> Document:
+    """Return the tracks of the present rules, and the fastest clean laps on each."""
+    laps = reader.snapshot().clean_laps
+    names = reader.store.settings.ruleset.tracks
+    return {"tracks": [_track(reader, files.load(name), laps.get(name, [])) for name in names]}
+
+
+def _track(reader: Reader, track: Track, laps: list[BestLap]) -> Document:
+    bound_s = reader.bound_s(track.name)
+    drivers = reader.snapshot().by_number
+    record = laps[0] if laps else None
+    return {
+        **files.report(track),
+        "map": charts.track_map(track),
+        "speeds": reader.kept(("speeds", record), lambda: _speeds(reader, record)),
+        "bound_s": bound_s,
+        "medals": medal_times(bound_s),
+        "records": [_line(lap, drivers[lap.number].name, bound_s) for lap in laps[:RECORDS]],
+    }
+
+
+def lap_line(lap: BestLap, bound_s: float | None) -> Document:
+    """Return a lap as part of a line: its time, its medal, and where it was driven."""
+    line = {"lap_s": lap.lap_s, "medal": medal(lap.lap_s, bound_s)}
+    return {**line, "heat": lap.heat, "race": lap.race}
+
+
+def _line(lap: BestLap, name: str, bound_s: float | None) -> Document:
+    return {"entry": lap.number, "name": name, **lap_line(lap, bound_s)}
+
+
+def _speeds(reader: Reader, lap: BestLap | None) -> SpeedMap | None:
+    """Return where a lap was fast; None where its race was not recorded."""
+    ghost = _recorded(reader, lap) if lap else None
+    return charts.speed_map(_lap(reader, ghost, 0)) if ghost else None
+
+
+def boards(reader: Reader, races: str = "") -> Document:
+    """Return the boards of one kind of race; by default that of the present rules."""
+    kinds = sorted({rules.kind for rules in reader.store.rulesets().values()})
+    asked = races or reader.store.settings.ruleset.kind
+    shown = cast(RaceKind, asked)
+    if shown not in kinds:
+        raise NotFoundError(f"This league has races of the kinds {', '.join(kinds)}.")
+    known = reader.snapshot().races
+    key = ("boards", shown, known.voided)
+    before: Boards | None = reader.kept(key, lambda: None)
+    best = reader.keep(key, time_attack(reader.store, shown, before, known))
+    return {
+        "kind": shown,
+        "kinds": [{"kind": one, "title": TITLES.get(one, one)} for one in kinds],
+        "boards": [_board(reader, track, laps) for track, laps in sorted(best.laps.items())],
+    }
+
+
+def _board(reader: Reader, name: str, laps: list[BestLap]) -> Document:
+    bound_s = reader.bound_s(name)
+    drivers = {lap.number: reader.entry(lap.number) for lap in laps[:MOST_ON_BOARD]}
+    rows = reader.snapshot().rows
+    return {
+        "track": name,
+        "title": files.load(name).title,
+        "bound_s": bound_s,
+        "laps": [
+            {
+                **_line(lap, drivers[lap.number].name, bound_s),
+                "owner": drivers[lap.number].owner,
+                "behind_s": lap.lap_s - laps[0].lap_s,
+                "rank": row.rank if (row := rows.get(lap.number)) else None,
+            }
+            for lap in laps[:MOST_ON_BOARD]
+        ],
+    }
 
 
 class LapName(NamedTuple):
@@ -64,7 +161,7 @@ class _Ghost:
         return self.row["lap_times_s"][self.name.lap - 1]
 
 
-def document(
+def ghosts(
     reader: Reader, track: str = "", one: str = "", other: str = "", heat: str = ""
 ) -> Document:
     """Return two laps on a track, and what else may be chosen; for the arguments see PAGES.
@@ -80,31 +177,31 @@ def document(
     pair = _pair(reader, course, best, (one, other))
     laps = [_lap(reader, ghost, car) for car, ghost in enumerate(pair)]
     shown = _replay(reader, pair[0].name).track if pair else None
-    bound_s = reader.bound_s(shown) if shown else None
+    bound_s = reader.bound_s(course)
     drivers = reader.snapshot().by_number
     return {
         "tracks": known,
         "track": course,
-        "pair": [_line(bound_s, ghost) for ghost in pair],
+        "pair": [_ghost_line(bound_s, ghost) for ghost in pair],
         "laps": [lap.label for lap in laps],
         "map": charts.track_map(shown) if shown else None,
-        "compared": race_charts.compared(laps, shown.length) if shown else None,
+        "compared": charts.compared(laps, shown.length) if shown else None,
         "options": [
             {"entry": lap.number, "name": drivers[lap.number].name, "lap_s": lap.lap_s}
-            for lap in best[:MOST]
+            for lap in best[:MOST_OFFERED]
         ],
         "heat": heat,
-        "heat_laps": [_line(bound_s, ghost) for ghost in _of_heat(reader, heat, course)],
+        "heat_laps": [_ghost_line(bound_s, ghost) for ghost in _of_heat(reader, heat, course)],
     }
 
 
-def replay(reader: Reader, one: str = "", other: str = "") -> Document:
+def ghosts_replay(reader: Reader, one: str = "", other: str = "") -> Document:
     """Return what the player draws of two laps, by their names."""
     pair = [_named(reader, text) for text in (one, other)]
     if pair[0].track != pair[1].track:
         raise NotFoundError(f"One lap is on {pair[0].track}, the other on {pair[1].track}.")
     laps = [_lap(reader, ghost, car) for car, ghost in enumerate(pair)]
-    return player_data(laps, _replay(reader, pair[0].name).track)
+    return ghosts_data(laps, _replay(reader, pair[0].name).track)
 
 
 def _pair(
@@ -137,7 +234,7 @@ def _asked(reader: Reader, text: str, best: Sequence[BestLap]) -> _Ghost | None:
         return _named(reader, text)
     lap = next((lap for lap in best if str(lap.number) == text), None)
     if lap is None:
-        reader.entry(int(text) if text.isascii() and text.isdecimal() and len(text) < 16 else 0)
+        reader.entry(int(text) if is_number(text) else 0)
     return _best(reader, lap) if lap else None
 
 
@@ -145,7 +242,7 @@ def _best(reader: Reader, lap: BestLap) -> _Ghost:
     half, entry = reader.record(lap.heat).heat.halves[lap.race - 1], reader.entry(lap.number)
     car = half.grid.index(entry.id) + 1
     row = _row(reader, lap.heat, lap.race, car)
-    name = LapName(lap.heat, lap.race, car, race_charts.fastest_lap(row["lap_times_s"]))
+    name = LapName(lap.heat, lap.race, car, charts.fastest_lap(row["lap_times_s"]))
     return _Ghost(name, entry.number, entry.name, half.track, row)
 
 
@@ -173,7 +270,7 @@ def _row(reader: Reader, heat: int, race: int, car: int) -> dict[str, Any]:
 def _lap(reader: Reader, ghost: _Ghost, car: int) -> Lap:
     """Return a lap, as that of a car (from 0), which decides its colour."""
     name = ghost.name
-    lap = race_charts.lap_of(_replay(reader, name), name.car - 1, name.lap)
+    lap = charts.lap_of(_replay(reader, name), name.car - 1, name.lap)
     return replace(lap, car=car)
 
 
@@ -188,92 +285,23 @@ def _of_heat(reader: Reader, heat: str, track: str) -> list[_Ghost]:
     number = heat_number(heat)
     record, results = reader.record(number), reader.store.results(number)
     found: list[_Ghost] = []
-    for half, race in enumerate(record.heat.halves):
-        result = accepted(results, half)
-        if result is None or not result.replay or race.track != track:
+    for at, race, result in raced(record, results):
+        if not result.replay or race.track != track:
             continue
         for row in result.result["order"]:
             entry = reader.entry_of(race.grid[row["car"]])
             for lap in range(1, len(row["lap_times_s"]) + 1):
-                name = LapName(number, half + 1, row["car"] + 1, lap)
+                name = LapName(number, at, row["car"] + 1, lap)
                 found.append(_Ghost(name, entry.number, entry.name, track, row))
     return found
 
 
-def _line(bound_s: float | None, ghost: _Ghost) -> Document:
+def _ghost_line(bound_s: float | None, ghost: _Ghost) -> Document:
     return {
         "id": str(ghost.name),
         **ghost.name._asdict(),
         "entry": ghost.entry,
         "name": ghost.driver,
         "lap_s": ghost.lap_s,
-        "medal": tracks.medal(ghost.lap_s, bound_s) if is_clean(ghost.row) else "",
+        "medal": medal(ghost.lap_s, bound_s) if is_clean(ghost.row) else "",
     }
-
-
-def player_data(laps: Sequence[Lap], track: Track) -> dict[str, object]:
-    """Return what the player draws of laps that begin together.
-
-    A lap begins where its car crosses the line, the first one of a race with the start signal.
-    """
-    begins = [0.0 if lap.number == 1 else _crossed_s(lap, 0.0) for lap in laps]
-    takes = [_crossed_s(lap, track.length) - begin for lap, begin in zip(laps, begins, strict=True)]
-    frames = math.ceil(max(takes) * STEP_HZ) + 1
-    times_s = np.arange(frames) / STEP_HZ
-    distance = np.stack(
-        [
-            np.where(times_s < take, np.interp(begin + times_s, lap.time_s, lap.place), np.inf)
-            for lap, begin, take in zip(laps, begins, takes, strict=True)
-        ],
-        axis=1,
-    )
-    # Over the line a lap goes on at its speed, so that the gap is the difference of the times.
-    over = track.length + np.array([lap.speed[-1] for lap in laps]) * (
-        times_s[:, None] - np.array(takes)
-    )
-    distance = np.where(np.isfinite(distance), distance, over)
-    gaps_s = seconds_behind(distance, times_s)
-    cars: list[dict[str, object]] = []
-    for car, (lap, begin, take) in enumerate(zip(laps, begins, takes, strict=True)):
-        moments = np.minimum(begin + times_s, lap.time_s[-1])
-        poses = {"x": lap.points[:, 0], "y": lap.points[:, 1], "yaw": lap.yaw}
-        drawn = {name: np.interp(moments, lap.time_s, values) for name, values in poses.items()}
-        drawn |= {"distance": distance[:, car], "gap": gaps_s[:, car]}
-        over_line = np.array([min(math.ceil(take * STEP_HZ), frames - 1)])
-        cars.append(drawn_car(car + 1, lap.label, drawn, over_line))
-    return {
-        "step_hz": STEP_HZ,
-        "duration_s": round((frames - 1) / STEP_HZ, 3),
-        "laps": 1,
-        "track": drawn_track(track),
-        "obstacles": [],
-        "cars": cars,
-        "events": _events(laps, takes, times_s, distance),
-    }
-
-
-def _crossed_s(lap: Lap, place: float) -> float:
-    return float(lap.reached_s(np.array([place]))[0])
-
-
-def _events(
-    laps: Sequence[Lap], takes: Sequence[float], times_s: np.ndarray, distance: np.ndarray
-) -> list[dict[str, object]]:
-    """Return who takes the lead when, and the times over the line."""
-    events: list[dict[str, object]] = []
-    leader = None
-    for time_s, row in zip(times_s.tolist(), distance, strict=True):
-        first = int(row.argmax())
-        if first == leader or np.sort(row)[-1] - np.sort(row)[-2] < CLEAR or time_s > min(takes):
-            continue
-        verb = "leads" if leader is None else "takes the lead"
-        events.append(_event(time_s, "lead_change", first, f"{laps[first].label} {verb}"))
-        leader = first
-    for car, (lap, take) in enumerate(zip(laps, takes, strict=True)):
-        text = f"{lap.label} is over the line in {times.clock(take)}"
-        events.append(_event(round(take, 3), "finish", car, text))
-    return sorted(events, key=lambda event: float(str(event["time_s"])))
-
-
-def _event(time_s: float, kind: str, car: int, text: str) -> dict[str, object]:
-    return {"time_s": round(time_s, 3), "kind": kind, "car": car + 1, "text": text}
