@@ -32,6 +32,14 @@ def faults(page: Page) -> list[str]:
     ]
 
 
+def open_still(page: Page, path: str) -> None:
+    """Open an address as a new visitor with a wide screen who wants no motion."""
+    size, scheme = LOOKS["wide, light"]
+    page.set_viewport_size(size)
+    page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
+    page.goto(path)
+
+
 def serious_faults(page: Page) -> dict[str, list[str]]:
     """Return these faults of a page in each look, which it takes one after the other."""
     found: dict[str, list[str]] = {}

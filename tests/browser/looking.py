@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, ViewportSize
 
+from league.cli import main
+from league.matchmaking.store import Store
 from tests.browser import chromium
 
 NEEDS_CHROMIUM = [
@@ -33,6 +36,14 @@ def opened(browser: Browser, origin: str | None, complaints: list[str], **option
     page.on("console", lambda message: complaints.append(message.text))
     page.on("pageerror", lambda error: complaints.append(str(error)))
     return page
+
+
+def export(store: Store, folder: Path, *options: str) -> None:
+    """Write a league's pages with one heat into a folder, as `league site` does."""
+    command = ["site", str(folder), "--heats", "1", "--league", store.url, *options]
+    # The browser's event loop runs in the test's own thread, which leaves no room for another.
+    with ThreadPoolExecutor(1) as thread:
+        assert thread.submit(main, command).result() == 0
 
 
 def assert_a_heat_plays_from_disk(browser: Browser, folder: Path, complaints: list[str]) -> Page:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.browser.axe import faults, serious_faults
+from tests.browser.axe import faults, open_still, serious_faults
 from tests.browser.looking import NEEDS_CHROMIUM, PATHS, opened
 from tests.web.small_league import rated_heat
 
@@ -12,11 +12,10 @@ pytestmark = NEEDS_CHROMIUM
 
 
 @pytest.mark.parametrize("path", [*PATHS, "/submit", "/drivers/3/retire", "/drivers/99"])
-def test_axe_finds_nothing_serious(browser, origin, store, path):
-    page = opened(browser, origin, [], reduced_motion="reduce")
-    page.goto(path.format(heat=rated_heat(store)))
-    page.wait_for_load_state("networkidle")
-    assert serious_faults(page) == {}
+def test_axe_finds_nothing_serious(shared_page, store, path):
+    open_still(shared_page, path.format(heat=rated_heat(store)))
+    shared_page.wait_for_load_state("networkidle")
+    assert serious_faults(shared_page) == {}
 
 
 def test_axe_would_find_a_missing_label_and_a_pale_text(browser, origin):

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
+from collections.abc import Iterator
 
 import pytest
 from playwright.sync_api import expect
@@ -12,18 +11,35 @@ from playwright.sync_api import expect
 from league.matchmaking import loop
 from league.matchmaking.pairing.heat_spec import mirrored
 from league.matchmaking.pairing.matchmaker import Matchmaker
+from league.matchmaking.store import Store
 from league.matchmaking.workers.dispatcher import Dispatcher
 from tests.browser.looking import (
     NEEDS_CHROMIUM,
     PATHS,
     PHONE,
     assert_a_heat_plays_from_disk,
+    export,
     opened,
 )
+from tests.browser.pages import served
 from tests.matchmaking.season_kit import Here
-from tests.web.small_league import NAME, lapped_heat, overtaken_heat, rated_heat
+from tests.web.small_league import NAME, lapped_heat, overtaken_heat, raced_league, rated_heat
 
 pytestmark = NEEDS_CHROMIUM
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory) -> Iterator[Store]:
+    """Return a league of this module's own, in which its tests race."""
+    with raced_league(f"sqlite:///{tmp_path_factory.mktemp('pages') / 'league.db'}") as store:
+        yield store
+
+
+@pytest.fixture(scope="module")
+def origin(store) -> Iterator[str]:
+    """Return the address of a server as users start it: a process, which races elsewhere."""
+    with served(store.url) as address:
+        yield address
 
 
 def test_home_plays_and_pixels_change(browser, origin, complaints):
@@ -204,7 +220,7 @@ def test_a_driver_is_reached_by_keyboard_alone(browser, origin, complaints):
 
 
 def test_every_scrolling_table_and_control_has_a_name(browser, origin, complaints, store):
-    page = opened(browser, origin, complaints)
+    page = opened(browser, origin, complaints, reduced_motion="reduce")
     for path in PATHS:
         page.goto(path.format(heat=rated_heat(store)))
         unnamed = page.evaluate(
@@ -216,8 +232,7 @@ def test_every_scrolling_table_and_control_has_a_name(browser, origin, complaint
 
 
 def test_an_exported_heat_plays_from_disk(browser, complaints, store, tmp_path):
-    command = [sys.executable, "-m", "league.cli", "site", str(tmp_path / "season")]
-    subprocess.run([*command, "--heats", "1", "--league", store.url], check=True)
+    export(store, tmp_path / "season")
     page = assert_a_heat_plays_from_disk(browser, tmp_path / "season", complaints)
     page.get_by_role("link", name="Standings").click()
     assert page.get_by_role("heading", level=1).inner_text() == "Standings"
@@ -253,7 +268,7 @@ def test_a_drivers_best_lap_leads_to_the_race_it_was_driven_in(browser, origin, 
 
 
 def test_the_live_page_shows_what_was_raced_since_it_was_opened(browser, origin, store, complaints):
-    page = opened(browser, origin, complaints)
+    page = opened(browser, origin, complaints, reduced_motion="reduce")
     page.goto("/live")
     done = page.locator(".figures div", has_text="Done in all").locator("dd")
     before = int(done.inner_text())
@@ -263,7 +278,7 @@ def test_the_live_page_shows_what_was_raced_since_it_was_opened(browser, origin,
 
 
 def test_home_names_a_heat_as_soon_as_it_races(browser, origin, store, complaints):
-    page = opened(browser, origin, complaints)
+    page = opened(browser, origin, complaints, reduced_motion="reduce")
     page.goto("/")
     now = page.locator("section", has=page.get_by_role("heading", name="Racing now"))
     expect(now).to_contain_text("No heat races at this moment")

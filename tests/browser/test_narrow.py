@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.browser.looking import NEEDS_CHROMIUM, PATHS, opened
+from tests.browser.looking import NEEDS_CHROMIUM, PATHS
 from tests.web.small_league import rated_heat
 
 pytestmark = NEEDS_CHROMIUM
@@ -15,10 +15,9 @@ SPILLED = """() => [...document.querySelectorAll("main *")].filter(
 
 
 @pytest.mark.parametrize("path", [*PATHS, "/heats?driver=3"])
-def test_no_page_is_wider_than_320_pixels_and_hidden_columns_can_be_shown(
-    browser, origin, store, path
-):
-    page = opened(browser, origin, [], viewport=NARROW, java_script_enabled=True)
+def test_no_page_is_wider_than_320_pixels_and_hidden_columns_can_be_shown(shared_page, store, path):
+    page = shared_page
+    page.set_viewport_size(NARROW)
     page.goto(path.format(heat=rated_heat(store)))
     fits = "document.documentElement.scrollWidth <= innerWidth"
     assert page.evaluate(fits), page.evaluate(SPILLED)

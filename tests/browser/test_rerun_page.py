@@ -28,7 +28,7 @@ def share(shown: np.ndarray, colour: tuple[int, int, int]) -> float:
 
 
 def test_a_heat_opens_in_rerun_from_its_page(browser, origin, complaints, store):
-    page = opened(browser, origin, complaints, viewport={"width": 1000, "height": 700})
+    page = opened(browser, origin, complaints, viewport={"width": 640, "height": 448})
     asked: list[str] = []
     page.on("request", lambda request: asked.append(request.url))
     page.goto(f"/heats/{rated_heat(store)}")
@@ -38,7 +38,7 @@ def test_a_heat_opens_in_rerun_from_its_page(browser, origin, complaints, store)
     deadline, shown = time.monotonic() + LIMIT_S, picture(page)
     while share(shown, colours.road) < 0.02 or share(shown, colours.field) < 0.05:
         assert time.monotonic() < deadline, "the viewer shows no race"
-        page.wait_for_timeout(1000)
+        page.wait_for_timeout(2000)
         shown = picture(page)
     assert any(url.endswith(".rrd") for url in asked)
     outside = [url for url in asked if not url.startswith((origin, "data:", "blob:"))]

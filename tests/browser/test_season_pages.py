@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Iterator
 
 import pytest
 from playwright.sync_api import Page, expect
 
 from league.matchmaking.store import Store
-from tests.browser.axe import serious_faults
-from tests.browser.looking import NEEDS_CHROMIUM, PHONE, assert_a_heat_plays_from_disk, opened
+from tests.browser.axe import open_still, serious_faults
+from tests.browser.looking import (
+    NEEDS_CHROMIUM,
+    PHONE,
+    assert_a_heat_plays_from_disk,
+    export,
+    opened,
+)
 from tests.web.small_league import seasoned_league
 
 pytestmark = NEEDS_CHROMIUM
@@ -46,9 +50,7 @@ def test_a_trophy_leads_from_the_hall_of_fame_to_its_driver_and_back(browser, or
 
 
 def test_a_heat_of_an_exported_season_plays_from_disk(browser, complaints, store, tmp_path):
-    command = [sys.executable, "-m", "league.cli", "site", str(tmp_path / "spring")]
-    options = ["--season", "1", "--heats", "1", "--league", store.url]
-    subprocess.run([*command, *options], check=True)
+    export(store, tmp_path / "spring", "--season", "1")
     assert_a_heat_plays_from_disk(browser, tmp_path / "spring", complaints)
     assert complaints == []
 
@@ -107,8 +109,7 @@ def test_rounds_are_columns_with_lines_and_on_a_phone_one_below_the_other(browse
 
 
 @pytest.mark.parametrize("path", PATHS)
-def test_axe_finds_nothing_serious(browser, origin, path):
-    page = opened(browser, origin, [], reduced_motion="reduce")
-    page.goto(path)
-    assert serious_faults(page) == {}
-    assert page.evaluate("window.name") == ""  # a driver's name holds HTML
+def test_axe_finds_nothing_serious(shared_page, path):
+    open_still(shared_page, path)
+    assert serious_faults(shared_page) == {}
+    assert shared_page.evaluate("window.name") == ""  # a driver's name holds HTML

@@ -14,7 +14,8 @@ from tests.recorded import raced
 
 pytestmark = NEEDS_CHROMIUM
 
-WIDTH, HEIGHT = 1200, 760
+WIDTH, HEIGHT = 640, 405
+"""Each pixel costs processor time; the layout still shows all that is judged."""
 LIMIT_S = 240.0
 """Software rendering on a busy machine takes tens of seconds."""
 
@@ -53,7 +54,7 @@ def wait_for(browser: chromium.Chromium, wished: Callable[[np.ndarray], bool]) -
         picture = browser.picture()
         if wished(picture) or time.monotonic() > deadline:
             return picture
-        time.sleep(0.5)
+        time.sleep(1.0)
 
 
 def test_the_browser_shows_the_race_and_asks_nobody_else(tmp_path):
