@@ -49,12 +49,12 @@ torchrl: sync
 
 sync: .venv/.installed
 
+# To bytecode is compiled what training imports, beside the simulator: pip would compile all of the
+# libraries, one after the other, which takes half a minute.
 .venv/.installed: pyproject.toml constraints.txt
 	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info[:2] < (3, 11))' \
 		|| { echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3.11"; exit 1; }
 	test -x $(BIN)/python || "$(PYTHON)" -m venv .venv
-	# To bytecode is compiled what training imports, beside the simulator: pip would compile all of
-	# the libraries, one after the other, which takes half a minute.
 	$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable ".[dev]"
 	$(BIN)/python -c "import league.training.run" & $(BIN)/python -m league.precompile && wait
 	touch $@

@@ -293,7 +293,7 @@ def _ray() -> Any:  # noqa: ANN401
     logging.getLogger("ray").setLevel(logging.ERROR)
     # What it prints about an actor's death goes to stderr: stdout is for results. Ray has no
     # setting for it, so this patches a private function, if this version has it.
-    worker = getattr(ray._private, "worker", None)
+    worker = getattr(getattr(ray, "_private", None), "worker", None)
     prints = getattr(worker, "print_to_stdstream", None)
     if worker is None or prints is None or getattr(prints, "league", False):
         return ray
