@@ -19,7 +19,6 @@ from league.agents.rollout import DriverPool
 from league.racing import duels
 from league.racing.duels import DuelConfig
 from league.sim.config import CarConfig
-from league.sim.records import World
 from league.track import files
 from league.track.track import TrackSet
 
@@ -86,10 +85,10 @@ class Search:
 
         Returns its row in each race, int64 (races,).
         """
-        first = self._state()
-        for step in range(HORIZON):
-            if step == ROUND:
-                first = self._state()
+        for _ in range(ROUND):
+            self._step(plans[:, 0])
+        world, flags = self._env.world.copy(), (self._failed, self._over, self._won)
+        for step in range(ROUND, HORIZON):
             piece = step // ROUND
             self._step(plans[:, piece] if piece < PIECES else 0.0)
         lead = self._cars["distance"][:, 1] - self._cars["distance"][:, 0]
@@ -97,13 +96,9 @@ class Search:
         lead[self._failed | (self._over & ~self._won)] = -np.inf
         best = lead.reshape(self._races, -1).argmax(axis=1) + np.arange(self._races) * self._plans
         rows = np.repeat(best, self._plans)
-        world, (self._failed, self._over, self._won) = first[0], (one[rows] for one in first[1])
+        self._failed, self._over, self._won = (of[rows] for of in flags)
         self._env.restore(world.rows(rows))
         return best
-
-    def _state(self) -> tuple[World, tuple[np.ndarray, ...]]:
-        flags = self._failed.copy(), self._over.copy(), self._won.copy()
-        return self._env.world.copy(), flags
 
     def _step(self, change: np.ndarray | float) -> None:
         actions = self._drivers.act(self._env.observations)
@@ -111,11 +106,12 @@ class Search:
         seen = self._env.step(actions)
         verdicts = seen.verdicts[:, 1]
         mistake = verdicts["to_blame"] | verdicts["off_track"] | verdicts["pushed_off"]
-        self._failed |= mistake & ~self._over
+        # New arrays: `_try` keeps those of its first round.
+        self._failed = self._failed | (mistake & ~self._over)
         ended = seen.terminated.any(axis=1) & ~self._over
         ahead = self._cars["finish_s"][:, 1] < self._cars["finish_s"][:, 0]
-        self._won |= ended & ahead & ~self._failed
-        self._over |= ended
+        self._won = self._won | (ended & ahead & ~self._failed)
+        self._over = self._over | ended
 
 
 def main(arguments: list[str] | None = None) -> None:
