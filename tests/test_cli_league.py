@@ -440,5 +440,5 @@ def test_upgrade_brings_an_older_league_up_to_date_and_makes_none(tmp_path, monk
     assert "bring it up to date with `league upgrade`" in capsys.readouterr().err
     assert main(["upgrade"]) == 0
     out = capsys.readouterr().out
-    assert "version 0006: " in out and "is up to date" in out
+    assert "version 0002: " in out and "version 0003: " in out and "is up to date" in out
     assert main(["standings"]) == 0

@@ -15,16 +15,21 @@ from league.matchmaking.store.database import Database
 
 TRACKS = ("ring", "square")
 RULES = Ruleset(tracks=TRACKS, laps=2)
-FIRST_VERSION = (
+WITHOUT_SEASONS = (
     "DROP TABLE tokens",
     "DROP TABLE divisions",
     "DROP TABLE cups",
     "DROP TABLE seasons",
     "ALTER TABLE races DROP COLUMN driven",
     "ALTER TABLE heats DROP COLUMN claimed_s",
+)
+"""Statements that take away what versions after 0003 added to a league's tables."""
+FIRST_VERSION = (
+    *WITHOUT_SEASONS,
+    "ALTER TABLE results DROP COLUMN rejected",
     "ALTER TABLE results DROP COLUMN machine",
     "DROP TABLE ledger",
-    "UPDATE alembic_version SET version_num = '0002'",
+    "UPDATE alembic_version SET version_num = '0001'",
 )
 """Statements that take away what later versions added to a league's tables."""
 

@@ -112,9 +112,14 @@ def upgrade(url: str) -> list[str]:
                     step.module.upgrade()
                     context.stamp(steps, step.revision)
                     done.append(f"version {step.revision}: {step.doc}")
-            if version < SCHEMA:
+            if version < "0004":
                 done.append(f"{race_table.fill_driven(change)} races tell their incidents")
-                done += integrity.adopt(change)
+            if version < "0003":
+                done.append(f"{integrity.adopt(change)} records begin the ledger")
+            if states := integrity.adopt_states(change):
+                done.append(f"states of {states} entries begin in the ledger")
+            if integrity.adopt_present(change):
+                done.append("the present rules begin in the ledger")
         return done
 
 

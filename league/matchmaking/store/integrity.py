@@ -239,23 +239,36 @@ def _present(connection: sa.Connection) -> str | None:
     return connection.scalar(query)
 
 
-def adopt(change: Change) -> list[str]:
-    """Begin the ledger of an older league with all that it holds; return what that was."""
+def adopt_present(change: Change) -> bool:
+    """Record the present rules of a league from before the ledger did; return whether it was."""
+    query = sa.select(ledger.c.number).where(ledger.c.kind == "present").limit(1)
+    hash = _present(change.connection)
+    if hash is None or change.connection.scalar(query) is not None:
+        return False
+    change.record([schema.present_record(hash)])
+    return True
+
+
+def adopt_states(change: Change) -> int:
+    """Record the states of entries from before the ledger did; return how many these are."""
+    recorded = sa.select(ledger.c.subject).where(ledger.c.kind == "state")
+    known = {subject.split("/")[0] for subject in change.connection.scalars(recorded)}
+    query = sa.select(entries.entries).order_by(entries.entries.c.number)
+    rows = [row for row in change.connection.execute(query) if row.id not in known]
+    change.record(schema.state_record(row.id, row.state, row.reason) for row in rows)
+    return len(rows)
+
+
+def adopt(change: Change) -> int:
+    """Begin the ledger of an older league with all that it holds; return the number of records."""
     connection = change.connection
+    numbers = list(connection.scalars(sa.select(heats.c.number).order_by(heats.c.number)))
     change.record(_simple_records(connection))
-    change.record(_result_records(connection, list(connection.scalars(sa.select(heats.c.number)))))
+    for start in range(0, len(numbers), BLOCK):
+        change.record(_result_records(connection, numbers[start : start + BLOCK]))
     rejected = sa.select(results.results.c.heat).where(results.results.c.rejected).distinct()
     for heat in sorted(connection.scalars(rejected)):
         stored = results.read_results(connection, [heat])
         kept = [(one.half, one.hash) for one in stored if not one.rejected]
         change.record([results.settlement(heat, kept)])
-    count = connection.scalar(sa.select(sa.func.count()).select_from(ledger))
-    done = [f"{count} records begin the ledger"]
-    query = sa.select(entries.entries).order_by(entries.entries.c.number)
-    if rows := connection.execute(query).all():
-        change.record(schema.state_record(row.id, row.state, row.reason) for row in rows)
-        done.append(f"states of {len(rows)} entries begin in the ledger")
-    if (present := _present(connection)) is not None:
-        change.record([schema.present_record(present)])
-        done.append("the present rules begin in the ledger")
-    return done
+    return connection.scalar(sa.select(sa.func.count()).select_from(ledger)) or 0

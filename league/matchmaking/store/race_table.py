@@ -19,6 +19,8 @@ OFF_TRACK, TOUCH, CRASH = 1, 1, 4
 """Incident points of leaving the track, of a light contact and of a crash one is to blame for."""
 FAULTS = ("off_tracks", "crashes", "touches", "immobilised", "reversed")
 """What a result counts of each car; a lap is clean in a race without any of them."""
+FILLED = 5000
+"""Races of an older league brought up to date at a time."""
 BLOCK = 1 << 20
 """Races read at a time."""
 NO_TRACK = 255
@@ -106,12 +108,21 @@ def fill_driven(change: Change) -> int:
         sa.select(races.c.number, races.c.cars, results.c.document)
         .join(results, (results.c.heat == races.c.heat) & (results.c.half == races.c.half))
         .where(~results.c.rejected)
+        .order_by(races.c.number)
+        .limit(FILLED)
     )
-    rows = change.connection.execute(query).all()
-    for row in rows:
-        result = json.loads(zlib.decompress(row.document))["result"]
-        change.update(races, races.c.number == row.number, driven=driven(result, row.cars))
-    return len(rows)
+    last = filled = 0
+    while rows := change.connection.execute(query.where(races.c.number > last)).all():
+        last = rows[-1].number
+        found = [{"number_": row.number, "driven": _driven(row.document, row.cars)} for row in rows]
+        one = races.c.number == sa.bindparam("number_")
+        change.connection.execute(races.update().where(one), found)
+        filled += len(rows)
+    return filled
+
+
+def _driven(document: bytes, cars: int) -> str:
+    return driven(json.loads(zlib.decompress(document))["result"], cars)
 
 
 def counted(
