@@ -156,3 +156,15 @@ def test_a_new_run_begins_with_an_empty_file(tmp_path):
     filled(path).close()
     TrainingHistory(path).close()
     assert history.read(path) == []
+
+
+def test_a_teachers_updates_are_known_in_the_files_of_older_versions(tmp_path):
+    made = filled()
+    made.updates[0].log[history.TEACHING] = 1.0
+    TrainingHistory(tmp_path / "history.jsonl", made.updates).close()
+    text = (tmp_path / "history.jsonl").read_text()
+    (tmp_path / "history.jsonl").write_text(text.replace("/teacher/learning", "/tutor/learning"))
+    assert history.read(tmp_path / "history.jsonl") == made.updates
+    assert not made.teacher_learns
+    made.updates[-1].log[history.TEACHING] = 1.0
+    assert made.teacher_learns

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 TEACHING = "/teacher/learning"  # logged as 1 while a teacher learns (ppo/teacher.py)
+_OLD_TEACHING = "/tutor/learning"  # its name in the files of older versions
 _Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 """JSON has no NaN: it is written as null."""
 
@@ -217,6 +218,8 @@ def read(path: Path) -> list[Row]:
                 f"line {number} of {path} is no row of a training's history "
                 f"({type(error).__name__}): remove the line, or start a new run with another --out"
             ) from error
+        if isinstance(row, UpdateRow) and _OLD_TEACHING in row.log:
+            row.log[TEACHING] = row.log.pop(_OLD_TEACHING)
         rows.append(row)
     return rows
 
