@@ -51,15 +51,15 @@ REMOVED = "cars parked"
 """A field that it had, which was False in races."""
 IS_X86 = platform.machine() == "x86_64"
 X86 = pytest.mark.skipif(not IS_X86, reason="features of x86-64")
-OLDER = {"NUMBA_CPU_NAME": "generic"}
-"""Of x86-64 "generic" is the oldest processor, without SSE3, and libraries work as on one, too."""
-if IS_X86:
-    OLDER |= {
-        "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR",
-        "OPENBLAS_CORETYPE": "Nehalem",
-        "OPENCV_CPU_DISABLE": "AVX512-SKX,AVX2,FMA3,AVX,SSE4.2",
-        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX512F,-AVX2,-AVX,-FMA,-FMA4",
-    }
+LIBRARIES = {
+    "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR",
+    "OPENBLAS_CORETYPE": "Nehalem",
+    "OPENCV_CPU_DISABLE": "AVX512-SKX,AVX2,FMA3,AVX,SSE4.2",
+    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX512F,-AVX2,-AVX,-FMA,-FMA4",
+}
+"""Libraries of x86-64 without their vector code."""
+# Of x86-64 "generic" is the oldest processor, without SSE3, and libraries work as on one, too.
+OLDER = {"NUMBA_CPU_NAME": "generic", **(LIBRARIES if IS_X86 else {})}
 FLAGS = re.compile(r"\b(fast|contract|reassoc|arcp|afn|nnan|ninf|nsz)\b|llvm\.(fma|fmuladd)\b")
 FUSED = re.compile(r"\bvfn?m(add|sub)|\bfn?m(add|sub)\b|\bfml[as]\b")  # of x86-64 and ARM64
 PRODUCTS = {"_decide": 100, "_drive": 250, "paint": 200, "reset": 150, "step": 600}
@@ -175,8 +175,9 @@ def test_bits_do_not_depend_on_the_processor_compiled_for():
     [
         {"NUMBA_CPU_FEATURES": "-avx,-avx2,-avx512f,-fma"},
         {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx,+avx2,+fma"},
+        LIBRARIES,
     ],
-    ids=["no AVX", "fused"],
+    ids=["no AVX", "fused", "libraries"],
 )
 def test_bits_do_not_depend_on_processor_features(environment):
     if "+fma" in environment.get("NUMBA_CPU_FEATURES", ""):
