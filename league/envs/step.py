@@ -75,7 +75,8 @@ def step(
         phases: which stages to run, PREPARE to SETTLE.
         actions: steering and speed in [-1, 1], float32 (num_worlds, num_cars, 2).
         cars: CAR records (num_worlds, num_cars); of the same shape are contacts, verdicts,
-            outcomes, and `before`, which is set to the cars before the step.
+            outcomes, and `before`, which is set to the cars before the step, unless all stages are
+            run: then it is scratch.
         obstacles: OBSTACLE records (num_worlds, num_obstacles); `arrivals` is scratch like it.
         worlds: WORLD records (num_worlds,); `encounters` are those of training where cars meet.
         controls: set to target steering [rad] and speed [m/s], float32 (num_worlds, num_cars, 2).
@@ -102,9 +103,11 @@ def step(
     for w in range(first, last):
         world, course = worlds[w], courses[worlds[w].track]
         things = obstacles[w]
+        # One place for all worlds stays in the processor's nearest cache.
+        slot = first if phases == ALL else w
         if phases & PREPARE:
             for c in range(num_cars):
-                before[w, c] = cars[w, c]
+                before[slot, c] = cars[w, c]
                 # As actions.decode does.
                 controls[w, c, 0] = actions[w, c, 0] * sim.max_steering
                 share = (actions[w, c, 1] + _ONE) * _HALF
@@ -127,7 +130,9 @@ def step(
                 things[k] = arrivals[w, k]
             world.step += 1
             seen = verdicts[w]
-            referee.judge(before[w], cars[w], things, world, seen, contacts[w], points, course, sim)
+            referee.judge(
+                before[slot], cars[w], things, world, seen, contacts[w], points, course, sim
+            )
             referee.stop_bots(cars[w], things, seen, sim)
             if len(weight):
                 rewards.pay(cars[w], seen, terms[w], weight, points, course)
