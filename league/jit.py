@@ -185,13 +185,3 @@ def inner(function: _Function | None = None, *, allocates: bool = False) -> Any:
     if function is None:
         return partial(inner, allocates=allocates)
     return njit(_nrt=allocates, **_INNER)(function)
-
-
-def spliced(function: _Function) -> Any:  # noqa: ANN401
-    """Compile a long function as a part of its one caller: it is optimised once, not twice."""
-    return njit(inline="always", **_INNER)(function)
-
-
-def specialise(function: Any, *arguments: object) -> None:  # noqa: ANN401
-    """Compile a function for arguments of these types, without calling it."""
-    function.compile(tuple(map(numba.typeof, arguments)))

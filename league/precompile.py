@@ -98,25 +98,6 @@ def _remove_older(folder: Path) -> None:
                 shutil.rmtree(other)
 
 
-def _physics() -> None:
-    """Physics and referee of the planar simulator, which `worlds` puts together."""
-    from league.sim import records, referee, settings
-    from league.sim.config import SimConfig
-    from league.sim.physics import planar
-
-    sim, tracks = SimConfig(kind="head_to_head", num_cars=2), _tracks()
-    cars, obstacles = np.zeros(2, records.CAR), np.zeros(0, records.OBSTACLE)
-    contacts, verdicts = np.zeros(2, records.CONTACT), np.zeros(2, records.VERDICT)
-    controls, world = np.zeros((2, 2), np.float32), np.zeros(1, records.WORLD)[0]
-    place = tracks.courses[0], settings.settings(sim)[0]
-    course, rules = place
-    moved = cars, obstacles, course, controls, contacts, planar.schedule(2), rules
-    judged = cars, cars, obstacles, world, verdicts, contacts, tracks.points, *place
-    jit.specialise(planar.step_world, *moved)
-    jit.specialise(referee.judge, *judged)
-    jit.specialise(referee.penalise, cars, obstacles, verdicts, tracks.points, *place)
-
-
 def _worlds() -> None:
     """Reset and step of the planar simulator."""
     from league.envs.config import EnvConfig
@@ -234,7 +215,7 @@ def _world():  # noqa: ANN202
 
 
 GROUPS = (
-    ("physics", "worlds", "bullet", "reward_functions"),
+    ("worlds", "bullet", "reward_functions"),
     ("scripted", "cameras", "sensors", "policies", "videos", "places"),
 )
 """Parts that one process compiles, each half of the work. Those that need a whole simulator are in
@@ -242,7 +223,7 @@ the first group, and nothing of the second calls what they compile, so neither d
 PARTS: dict[str, Callable[[], None]] = {
     part.__name__.removeprefix("_"): part
     for part in (
-        *(_physics, _worlds, _sensors, _scripted, _cameras, _videos, _policies, _places),
+        *(_worlds, _sensors, _scripted, _cameras, _videos, _policies, _places),
         *(_bullet, _reward_functions),
     )
 }

@@ -5,7 +5,7 @@ Semi-implicit Euler: forces change velocities, contacts mend them, velocities mo
 
 import numpy as np
 
-from league.jit import compiled, inner
+from league.jit import inner
 from league.portable_math import f32, sincos, wrap_angle
 from league.sim.physics.collision import SLOP, arrays_of, part, views_of
 from league.sim.physics.vehicle import frozen, late_steps, push
@@ -35,7 +35,7 @@ def schedule(num_cars: int) -> np.ndarray:
     return np.array(pairs, np.int64).reshape(-1, 2)
 
 
-@compiled
+@inner
 def step_world(cars, obstacles, course, controls, contacts, pairs, settings):
     """Move the cars of one world through a control step, and note what touched what.
 
