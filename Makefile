@@ -37,9 +37,10 @@ serve: league
 pages: league
 	$(BIN)/python -m tests.browser.pages $(LEAGUE) runs/pages
 
-# In the order of the files: sorted by number of tests, the few that take longest would come last.
+# One process more than a laptop's two cores: tests wait for browsers, servers and workers. In the order
+# of the files: sorted by number of tests, the few that take longest would come last.
 test: sync
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 # TorchRL needs another tensordict than rsl-rl, so it lies in a folder that these tests alone see.
 torchrl: sync
