@@ -15,6 +15,7 @@ NAMES = (
     "tracks",
     "cameras",
     "adapters",
+    "compilation",
     "solvers",
     "lap_bound",
     "lap_optimum",

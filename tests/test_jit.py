@@ -249,6 +249,28 @@ def test_arrays_that_compiled_functions_make_are_freed():
     assert live_arrays() == live_arrays()
 
 
+def test_functions_that_only_compiled_ones_call_have_no_machine_code_of_their_own():
+    @jit.inner
+    def doubled(number):
+        return number + number
+
+    @jit.inner
+    def raised(number):
+        return doubled(number) + 1
+
+    def entry(number):
+        return raised(number) * doubled(number)
+
+    called = jit.njit(entry)
+    assert called(3) == 42
+    engine = next(iter(called.overloads.values())).library._codegen._engine
+    for part, ours in ((doubled, False), (raised, False), (called, True)):
+        (found,) = part.overloads.values()
+        assert found.library._finalized
+        loaded = engine.is_symbol_defined(found.fndesc.llvm_func_name)
+        assert loaded is ours, part.__name__
+
+
 @pytest.mark.slow
 def test_everything_is_compiled_in_advance(tmp_path):
     wanted = {

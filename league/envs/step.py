@@ -75,10 +75,12 @@ def step(
         phases: which stages to run, PREPARE to SETTLE.
         actions: steering and speed in [-1, 1], float32 (num_worlds, num_cars, 2).
         cars: CAR records (num_worlds, num_cars); of the same shape are contacts, verdicts,
-            outcomes, and `before`, which is set to the cars before the step.
+            outcomes, and `before`, which is set to the cars before the step, unless all stages are
+            run: then it is scratch.
         obstacles: OBSTACLE records (num_worlds, num_obstacles); `arrivals` is scratch like it.
         worlds: WORLD records (num_worlds,); `encounters` are those of training where cars meet.
-        controls: set to target steering [rad] and speed [m/s], float32 (num_worlds, num_cars, 2).
+        controls: set to target steering [rad] and speed [m/s], float32 (num_worlds, num_cars, 2);
+            scratch as `before` is.
         terms: weighted terms of the reward, float32 (num_worlds, num_cars, num_terms).
         motions: set to the `motion` group, float32 (num_cars, num_worlds, 5).
         weight: weights of the terms, float32 (num_terms,); of length 0: the reward is Python's.
@@ -102,32 +104,36 @@ def step(
     for w in range(first, last):
         world, course = worlds[w], courses[worlds[w].track]
         things = obstacles[w]
+        # One place for all worlds stays in the processor's nearest cache.
+        slot = first if phases == ALL else w
         if phases & PREPARE:
             for c in range(num_cars):
-                before[w, c] = cars[w, c]
+                before[slot, c] = cars[w, c]
                 # As actions.decode does.
-                controls[w, c, 0] = actions[w, c, 0] * sim.max_steering
+                controls[slot, c, 0] = actions[w, c, 0] * sim.max_steering
                 share = (actions[w, c, 1] + _ONE) * _HALF
                 speed = sim.min_speed + share * (sim.max_speed - sim.min_speed)
-                controls[w, c, 1] = min(speed, cars[w, c].top_speed)
+                controls[slot, c, 1] = min(speed, cars[w, c].top_speed)
             grid.aim_obstacles(things, arrivals[w], world, points, course, places, sim)
         if phases & PHYSICS:
-            planar.step_world(cars[w], things, course, controls[w], contacts[w], pairs, sim)
+            planar.step_world(cars[w], things, course, controls[slot], contacts[w], pairs, sim)
         if phases & JUDGE:
             for c in range(num_cars):
                 car = cars[w, c]
                 motion = car.x + car.y + car.yaw + car.velocity_x + car.velocity_y + car.yaw_rate
                 if not math.isfinite(motion):
                     return BAD_STATE + 4 * (w * num_cars + c)
-                cars[w, c].target_steering = controls[w, c, 0]
-                cars[w, c].target_speed = controls[w, c, 1]
+                cars[w, c].target_steering = controls[slot, c, 0]
+                cars[w, c].target_speed = controls[slot, c, 1]
                 cars[w, c].action_steering = actions[w, c, 0]
                 cars[w, c].action_speed = actions[w, c, 1]
             for k in range(len(things)):
                 things[k] = arrivals[w, k]
             world.step += 1
             seen = verdicts[w]
-            referee.judge(before[w], cars[w], things, world, seen, contacts[w], points, course, sim)
+            referee.judge(
+                before[slot], cars[w], things, world, seen, contacts[w], points, course, sim
+            )
             referee.stop_bots(cars[w], things, seen, sim)
             if len(weight):
                 rewards.pay(cars[w], seen, terms[w], weight, points, course)

@@ -21,7 +21,7 @@ _INFINITE = f32(np.inf)
 _ZERO, _ONE = f32(0.0), f32(1.0)
 
 
-@compiled
+@inner
 def judge(before, cars, obstacles, world, verdicts, contacts, points, course, settings):
     """Write down what happened to the cars of one world in a control step; see records.py.
 
@@ -216,7 +216,7 @@ def stop_bots(cars, obstacles, verdicts, settings):
             obstacles[k].stopped_s = settings.bot_stop_s
 
 
-@compiled
+@inner
 def penalise(cars, obstacles, verdicts, points, course, settings):
     """Apply the race's penalties to one world: who made a mistake is frozen, then goes on.
 

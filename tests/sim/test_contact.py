@@ -322,6 +322,57 @@ def test_all_are_apart_exactly_where_no_bodies_are_near():
 
 
 @numba.njit
+def packed_pairs(cars, obstacles, course, pairs, sim, room):
+    """Return what is packed, whether some meet, how many were unpacked, and how many are near."""
+    close = planar._close_pairs(cars, obstacles, course, pairs, sim)
+    if close == planar._MANY:
+        return close, False, 0, planar._near(cars, obstacles, course, pairs, sim, room[1])
+    number, near = planar._unpacked(close, room[0]), room[1]
+    meet = planar._some_meet(close, cars, sim)
+    return close, meet, number, planar._near(cars, obstacles, course, pairs, sim, near)
+
+
+@numba.njit
+def looked_at(cars, near, sim):
+    """Return whether `collision.part` would look closer at any of some pairs of cars."""
+    radius, seen = sim.radius, False
+    for n in range(len(near)):
+        bodies, boxes = np.zeros((2, 6), np.float32), np.zeros((2, 5), np.float32)
+        for k in range(2):
+            car = cars[near[n, k]]
+            bodies[k, 0], bodies[k, 1], bodies[k, 2] = car.x, car.y, car.yaw
+            bodies[k, 3], bodies[k, 4], bodies[k, 5] = car.velocity_x, car.velocity_y, car.yaw_rate
+            boxes[k, 4] = radius
+        dt = sim.physics_dt
+        seen = seen or not collision._are_apart(bodies[0], boxes[0], bodies[1], boxes[1], dt)
+    return seen
+
+
+def test_pairs_that_are_packed_are_those_that_are_near_and_meet_where_boxes_are_looked_at():
+    sim, num_cars = open_floor.settings(8), 8
+    pairs, course = planar.schedule(num_cars), open_floor.floor().courses[0]
+    generator, seen = np.random.default_rng(6), set()
+    for width in (0.5, 2.0, 4.0) * 60:
+        now = open_floor.world(
+            sim,
+            x=generator.uniform(-1.0, 1.0, num_cars) * width,
+            y=generator.uniform(-0.5, 0.5, num_cars) * width,
+            velocity_x=generator.uniform(-3.0, 3.0, num_cars),
+            yaw_rate=generator.uniform(-5.0, 5.0, num_cars),
+        )
+        room = np.zeros((2, 100, 2), np.int64)
+        given = now.cars[0], now.obstacles[0], course, pairs, settings(sim)[0]
+        close, meet, number, near = packed_pairs(*given, room)
+        assert (close == planar._MANY) == (near > 8)
+        if close != planar._MANY:
+            assert number == near
+            assert room[0, :near].tolist() == room[1, :near].tolist()
+            assert meet == looked_at(now.cars[0], room[1, :near], settings(sim)[0])
+        seen.add((close == planar._MANY, meet, near > 0))
+    assert {(True, False, True), (False, True, True), (False, False, True)} <= seen
+
+
+@numba.njit
 def skipped(bodies, boxes, turn, dt):
     """Return whether a pair is skipped, and whether it would have touched or lacked speed."""
     touch = np.zeros(14, np.float32)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import int32, uint8, uint32
 
-from league.jit import compiled, inner, spliced
+from league.jit import compiled, inner
 from league.sim.camera.raster import draw_room
 from league.sim.camera.tables import Pose, Texture
 
@@ -45,7 +45,7 @@ def paint(phases, rows, pictures, poses, things, floor, sky, optics, far, models
     return top
 
 
-@spliced
+@inner
 def _draw_ground(pictures, floor, sky, optics, view):
     """Draw the sky and the floor of one picture; return the row of the farthest floor."""
     height = pictures.shape[1]

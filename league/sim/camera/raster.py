@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numba import uint8
 
-from league.jit import inner, spliced
+from league.jit import inner
 from league.portable_math import f32, sincos
 from league.sim.camera import tables
 
@@ -82,7 +82,7 @@ def _polygon(pictures, eye, points, count, colour, optics, scratch):
 # The room ------------------------------------------------------------------------------------
 
 
-@spliced
+@inner(allocates=True)
 def draw_room(pictures, optics, view, room, things, far, models):
     """Draw the walls round a room, then the things in it, far to near; see painting.paint.
 
@@ -105,7 +105,7 @@ def draw_room(pictures, optics, view, room, things, far, models):
         _thing(pictures, optics, view, thing, foot, far, models, scratch)
 
 
-@spliced
+@inner(allocates=True)
 def _walls(pictures, optics, view, room, scratch):
     (x_min, y_min), (x_max, y_max) = (room.x_min, room.y_min), (room.x_max, room.y_max)
     corners = ((x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max))
@@ -170,7 +170,7 @@ def _stand(foot, thing, view, optics, slope, models):
     return looks_up or (depth + reach >= optics.near and aside <= slope * depth)
 
 
-@spliced
+@inner(allocates=True)
 def _thing(pictures, optics, view, thing, foot, far, models, scratch):
     """Draw one thing: for each eye its solids, far to near, and of each the faces turned to it."""
     model = int(thing[tables.MODEL])
