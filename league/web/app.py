@@ -13,7 +13,6 @@ from http import HTTPStatus
 from importlib import resources
 from typing import Any
 
-import jinja2
 from markupsafe import Markup, escape
 from starlette.applications import Starlette
 from starlette.datastructures import MutableHeaders
@@ -31,7 +30,7 @@ from league.errors import LeagueError
 from league.matchmaking import safety
 from league.matchmaking.documents import plain
 from league.matchmaking.store import Store
-from league.web import charts, openapi, token_api
+from league.web import charts, openapi, rendering, token_api
 from league.web.answers import Answers
 from league.web.downloads import DOWNLOADS
 from league.web.reader import Document, NotFoundError, Reader
@@ -66,14 +65,7 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
     """
     reader, access = Reader(store), access or Access()
     answers = Answers(reader)
-    templates = jinja2.Environment(
-        loader=jinja2.PackageLoader("league.web"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        auto_reload=False,
-    )
+    templates = rendering.environment()
     shown = {"clock": times.clock, "day": times.day, "time_of_day": times.time_of_day}
     templates.filters |= shown | {"iso": _iso, "code": _code}
     names: dict[str, Any] = {

@@ -33,6 +33,9 @@ then new races are added to the last one."""
 MANY, PATIENCE_S = 3, 4.0
 """While so many first answers are made, a snapshot that takes long is brought up to date so much
 later [s]: the requests that wait for them have more of the processor."""
+CALM_S, CALM_MOST_S, LOOKS_S = 2.0, 20.0, 0.05
+"""A fit begins when for so long [s] fewer were being made, so much later [s] at the latest; it
+looks so often [s]. It takes seconds of a processor, which a crowd's first answers need more."""
 REST = 4.0
 """The next one waits so many times as long as the last one worked: a fifth of a processor."""
 SETTLED_REST = 24.0
@@ -74,6 +77,7 @@ class Reader:
         self._taken_s, self._took_s = 0.0, 0.0
         self.num_making = 0
         """Answers that are being made, which requests wait for; set by `Answers`."""
+        self._counting = threading.Lock()
         self._counts: tuple[int, dict[HeatState, int]] | None = None
         self._counts_due_s = 0.0
         self._kept: OrderedDict[Hashable, Any] = OrderedDict()
@@ -138,12 +142,20 @@ class Reader:
 
     def _settle(self) -> None:
         try:
+            self._wait_for_calm()
             with contextlib.suppress(LeagueError):  # a later request tries again
                 taken = self._taken(self._snapshot)
                 with self._taking:
                     self._snapshot = snapshot.updated(self.store, taken) or taken
         finally:
             self._settling.release()
+
+    def _wait_for_calm(self) -> None:
+        start_s = crowded_s = time.monotonic()
+        while (now_s := time.monotonic()) < min(crowded_s + CALM_S, start_s + CALM_MOST_S):
+            if self.num_making >= MANY:
+                crowded_s = now_s
+            time.sleep(LOOKS_S)
 
     def standings_of(self, track: str, cars: int) -> Standings | None:
         """Return the standings by the races on a track, of so many cars; see Snapshot.rated_by."""
@@ -257,12 +269,23 @@ class Reader:
 
     def counts(self) -> dict[HeatState, int]:
         """Return how many heats are in each state, or were in a large league a moment ago."""
+        known = self._counts
+        if known is not None and time.monotonic() < self._counts_due_s:
+            return known[1]
+        if self._counting.acquire(blocking=known is None):  # else another counts them just now
+            try:
+                self._count()
+            finally:
+                self._counting.release()
+        assert self._counts is not None
+        return self._counts[1]
+
+    def _count(self) -> None:
         start_s, revision, known = time.monotonic(), self.store.revision, self._counts
-        if known is None or (known[0] != revision and start_s >= self._counts_due_s):
-            self._counts = known = revision, self.store.counts()
+        if start_s >= self._counts_due_s and (known is None or known[0] != revision):
+            self._counts = revision, self.store.counts()
             now_s = time.monotonic()
             self._counts_due_s = now_s + COUNTS_REST * (now_s - start_s)
-        return known[1]
 
     def record(self, number: int) -> HeatRecord:
         """Return a heat by its number."""

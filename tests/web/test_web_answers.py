@@ -193,3 +193,28 @@ def test_new_races_wait_while_first_answers_are_made(league, monkeypatch):
     assert pages.snapshot() is before
     monkeypatch.setattr(reader, "PATIENCE_S", 0.0)
     assert len(pages.snapshot().races.heat) > len(before.races.heat)
+
+
+def test_a_fit_waits_until_the_first_answers_of_a_crowd_are_made(league, monkeypatch):
+    monkeypatch.setattr(reader, "CALM_S", 0.1)
+    pages = Reader(league)
+    first = pages.snapshot()
+    pages._is_slow, pages._took_s, pages.num_making = True, 0.0, reader.MANY
+    pages._settle_later(0.0)
+    time.sleep(0.5)
+    assert pages.snapshot() is first
+    pages.num_making = 0
+    give_up = time.monotonic() + 60
+    while pages.snapshot() is first:
+        assert time.monotonic() < give_up
+        time.sleep(0.01)
+
+
+def test_heats_are_counted_by_one_request_at_a_time(league, monkeypatch):
+    pages = Reader(league)
+    before = pages.counts()
+    raced(league, leagues.duels(league, 1, first=500))
+    pages._counts_due_s = 0.0
+    with pages._counting:  # by another request
+        assert pages.counts() == before
+    assert pages.counts() == league.counts() != before

@@ -379,7 +379,12 @@ def _times(symmetric: sparse.csr_array, vector: np.ndarray) -> np.ndarray:
     known = np.flatnonzero(vector)
     if len(known) > FEW * len(vector):
         return symmetric @ vector
-    return symmetric[known].T @ vector[known]
+    # As `symmetric[known].T @ vector[known]`, without the matrices that scipy makes for it.
+    starts = symmetric.indptr[known]
+    counts = symmetric.indptr[known + 1] - starts
+    at = np.arange(counts.sum()) + np.repeat(starts - np.cumsum(counts) + counts, counts)
+    products = symmetric.data[at] * np.repeat(vector[known], counts)
+    return np.bincount(symmetric.indices[at], products, len(vector))
 
 
 class Variances:

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 _Data = TypeVar("_Data", bound="DataclassInstance")
 PATIENCE_S = 60.0
 """How long a write waits for other writers of a SQLite file [s]."""
+MOST_ASKED = 5000
+"""Values that one statement asks for at most; SQLite allows 32,766 parameters."""
 ALONE = 0x1EA60E
 """PostgreSQL's advisory lock for transactions that must run one at a time."""
 
@@ -205,10 +207,11 @@ def chunked(
     column: sa.ColumnElement[Any],
     values: list[Any],
 ) -> list[Any]:
-    """Return the rows in which a column has one of many values, asking for 5,000 at a time."""
+    """Return the rows in which a column has one of many values, `MOST_ASKED` at a time."""
     rows: list[Any] = []
-    for start in range(0, len(values), 5000):  # SQLite allows 32,766 parameters
-        rows += connection.execute(query.where(column.in_(values[start : start + 5000]))).all()
+    for start in range(0, len(values), MOST_ASKED):
+        some = column.in_(values[start : start + MOST_ASKED])
+        rows += connection.execute(query.where(some)).all()
     return rows
 
 

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
+from operator import itemgetter
 from typing import Any
 
 import sqlalchemy as sa
@@ -30,6 +31,7 @@ TRACEBACK_CHARS = 8000
 """The end of a traceback that is kept."""
 COPIED = tuple(name for name in HeatRecord.__dataclass_fields__ if name not in ("heat", "seeds"))
 """What a record has from its row as it is."""
+_copied = itemgetter(*map(list(heats.c.keys()).index, COPIED))  # by name would take much longer
 STATES = (
     sa.select(heats.c.number, heats.c.state)
     .join(heat_entries, heat_entries.c.heat == heats.c.number)
@@ -170,11 +172,12 @@ class QueueStore(schema.Transactional):
 
     def heat(self, name: str | int) -> HeatRecord:
         """Return the heat with this key, beginning of a key (6 digits or more), or number."""
-        text = str(name)
-        match = heats.c.key.startswith(text, autoescape=True)
+        text, records = str(name), list[HeatRecord]()
         if text.isdigit() and len(text) < 16:
-            match = heats.c.number == int(text)
-        records = self._heats(match, 2) if text.isdigit() or len(text) >= 6 else []
+            records = self.heats(numbers=[int(text)])
+        elif text.isdigit() or len(text) >= 6:
+            begins = heats.c.key.startswith(text, autoescape=True)
+            records = self._heats(with_rules().where(begins).order_by(heats.c.number).limit(2))
         if len(records) != 1:
             raise StoreError(
                 f"{brief(name)} names {'several heats' if records else 'no heat'} of this league: "
@@ -198,16 +201,11 @@ class QueueStore(schema.Transactional):
         in them, and numbered above `since`; at most `limit`, and then those with the smallest
         numbers, or the largest ones (`newest`).
         """
-        match = heats.c.number > since
-        if states is not None:
-            # By an index of states the database would sort all heats that are done for the newest.
-            state = heats.c.state.concat("") if newest else heats.c.state
-            match &= state.in_(states)
-        if numbers is not None:
-            match &= heats.c.number.in_(numbers)
-        for entry in entries:
-            match &= heats.c.number.in_(of_entry(entry))
-        return self._heats(match, limit, newest=newest)
+        given: dict[str, object] = {f"entry_{at}": entry for at, entry in enumerate(entries)}
+        lists = {"states": states, "numbers": numbers}
+        given |= {name: list(some) for name, some in lists.items() if some is not None}
+        given |= {"since": since} if limit is None else {"since": since, "limit": limit}
+        return self._heats(_asked(frozenset(given), newest=newest), given)
 
     def heat_states(self, entry: int) -> dict[int, HeatState]:
         """Return the states of all heats of an entry (its number), by number, the oldest first."""
@@ -216,7 +214,7 @@ class QueueStore(schema.Transactional):
 
     def heats_by_key(self, keys: Sequence[str]) -> list[HeatRecord]:
         """Return those of some heats that are known, by number."""
-        return self._heats(heats.c.key.in_(keys))
+        return self._heats(with_rules().where(heats.c.key.in_(keys)))
 
     def counts(self) -> dict[HeatState, int]:
         """Return how many heats are in each state."""
@@ -225,12 +223,14 @@ class QueueStore(schema.Transactional):
             return {state: number for state, number in connection.execute(query)}
 
     def _heats(
-        self, match: sa.ColumnElement[bool], limit: int | None = None, *, newest: bool = False
+        self, query: sa.Select[Any], given: Mapping[str, object] | None = None
     ) -> list[HeatRecord]:
-        query = with_rules().where(match, self._shown(heats.c.number)).limit(limit)
-        query = query.order_by(heats.c.number.desc() if newest else heats.c.number)
+        """Return those of the heats that `with_rules` selects that are shown, by number."""
+        shown = self._shown(heats.c.number)
+        if shown is not sa.true():  # a statement that is the same each time is not made again
+            query = query.where(shown)
         with self._database.reading() as connection:
-            return self._records(connection, connection.execute(query))
+            return self._records(connection, connection.execute(query, given))
 
     def _records(self, connection: sa.Connection, found: Iterable[Any]) -> list[HeatRecord]:
         """Return the heats in rows of `with_rules`, by number."""
@@ -247,8 +247,10 @@ class QueueStore(schema.Transactional):
         vars(heat)["key"] = row.key  # computed when it was planned; Store.verify computes it again
         is_public = row.state in ("done", "quarantined")
         seeds = self.seeds(heat) if is_public else None
-        known = row._mapping
-        return HeatRecord(heat=heat, seeds=seeds, **{name: known[name] for name in COPIED})
+        # The constructor of frozen data would set its fields one by one, of a hundred heats.
+        record = object.__new__(HeatRecord)
+        vars(record).update(zip(COPIED, _copied(row), strict=True), heat=heat, seeds=seeds)
+        return record
 
 
 @cache
@@ -260,6 +262,25 @@ def with_rules() -> sa.Select[Any]:
         .outerjoin(rulesets, rulesets.c.number == heats.c.ruleset)
         .outerjoin(audited, audited.c.number == heats.c.audits)
     )
+
+
+@cache
+def _asked(given: frozenset[str], *, newest: bool) -> sa.Select[Any]:
+    """Select the heats that `QueueStore.heats` asks for, with parameters of the given names.
+
+    It is made once for all such questions, which takes longer than to ask.
+    """
+    query = with_rules().where(heats.c.number > sa.bindparam("since"))
+    if "states" in given:
+        # By an index of states the database would sort all heats that are done for the newest.
+        state = heats.c.state.concat("") if newest else heats.c.state
+        query = query.where(state.in_(sa.bindparam("states", expanding=True)))
+    if "numbers" in given:
+        query = query.where(heats.c.number.in_(sa.bindparam("numbers", expanding=True)))
+    for name in sorted(name for name in given if name.startswith("entry_")):
+        query = query.where(heats.c.number.in_(of_entry(sa.bindparam(name))))
+    query = query.order_by(heats.c.number.desc() if newest else heats.c.number)
+    return query.limit(sa.bindparam("limit")) if "limit" in given else query
 
 
 def heat_in(row: Any, halves: list[Any], id_of: Mapping[int, str]) -> Heat:  # noqa: ANN401
@@ -379,7 +400,7 @@ def entry_numbers(connection: sa.Connection, ids: Iterable[str]) -> dict[str, in
     return number_of
 
 
-def of_entry(entry: int) -> sa.Select[Any]:
+def of_entry(entry: int | sa.BindParameter[int]) -> sa.Select[Any]:
     """Select the numbers of an entry's heats."""
     return sa.select(heat_entries.c.heat).where(heat_entries.c.entry == entry)
 

@@ -14,11 +14,18 @@ import sqlalchemy as sa
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store.blobs import BlobStore, FolderBlobs, insert_blob
-from league.matchmaking.store.database import chunked, made_of
+from league.matchmaking.store.database import MOST_ASKED, chunked, made_of
 from league.matchmaking.store.queue import BATCH, check_worker, unknown_heat
 from league.matchmaking.store.race_table import NO_TRACK, driven, packed, runs_of
 from league.matchmaking.store.records import HeatOutcome, RaceOutcome, Received, StoredResult
 from league.matchmaking.store.schema import Change, LedgerRecord, heats, races, results, rulesets
+
+OF_HEATS = (
+    sa.select(results)
+    .where(results.c.heat.in_(sa.bindparam("heats", expanding=True)))
+    .order_by(results.c.heat, results.c.half, results.c.received_s)
+)
+"""Selects the results of some heats; made once, which takes as long as to ask."""
 
 
 class ResultStore(BlobStore):
@@ -291,10 +298,11 @@ def settlement(heat: int, kept: Iterable[tuple[int, str]]) -> LedgerRecord:
 
 def read_results(connection: sa.Connection, numbers: Sequence[int]) -> list[StoredResult]:
     """Return all results of heats, by race and time; several for one race are a dispute."""
-    query = sa.select(results).order_by(results.c.heat, results.c.half, results.c.received_s)
-    stored = []
-    for row in chunked(connection, query, results.c.heat, sorted(numbers)):
-        document = json.loads(zlib.decompress(row.document))
-        places = tuple(document["places"])
-        stored.append(made_of(StoredResult, row, places=places, result=document["result"]))
+    stored, wanted = list[StoredResult](), sorted(numbers)
+    for start in range(0, len(wanted), MOST_ASKED):
+        asked = {"heats": wanted[start : start + MOST_ASKED]}
+        for row in connection.execute(OF_HEATS, asked):
+            document = json.loads(zlib.decompress(row.document))
+            places = tuple(document["places"])
+            stored.append(made_of(StoredResult, row, places=places, result=document["result"]))
     return stored

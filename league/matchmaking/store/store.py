@@ -30,6 +30,9 @@ from league.matchmaking.store.results import ResultStore
 from league.matchmaking.store.schema import events, heats, league, races, rulesets
 from league.matchmaking.store.seasons import SeasonStore
 
+REVISION = sa.select(sa.func.max(events.c.number))
+"""Selects the number of the newest event; asked for all the time, so made once."""
+
 
 class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
     """A league on SQLite or PostgreSQL.
@@ -194,7 +197,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
     def revision(self) -> int:
         """A number that grows with whatever happens in the league: its events so far."""
         with self._database.reading() as connection:
-            return connection.scalar(sa.select(sa.func.max(events.c.number))) or 0
+            return connection.scalar(REVISION) or 0
 
     def happened(self, since: int) -> set[str]:
         """Return what kinds of things happened after a `revision`."""
