@@ -208,10 +208,15 @@ def chunked(
     values: list[Any],
 ) -> list[Any]:
     """Return the rows in which a column has one of many values, `MOST_ASKED` at a time."""
+    asked = sa.bindparam("asked", expanding=True)
+    return asked_for(connection, query.where(column.in_(asked)), values)
+
+
+def asked_for(connection: sa.Connection, query: sa.Select[Any], values: list[Any]) -> list[Any]:
+    """Return the rows of a query, giving its list `asked` up to `MOST_ASKED` values at a time."""
     rows: list[Any] = []
     for start in range(0, len(values), MOST_ASKED):
-        some = column.in_(values[start : start + MOST_ASKED])
-        rows += connection.execute(query.where(some)).all()
+        rows += connection.execute(query, {"asked": values[start : start + MOST_ASKED]}).all()
     return rows
 
 

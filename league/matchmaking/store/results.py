@@ -14,7 +14,7 @@ import sqlalchemy as sa
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store.blobs import BlobStore, FolderBlobs, insert_blob
-from league.matchmaking.store.database import MOST_ASKED, chunked, made_of
+from league.matchmaking.store.database import asked_for, chunked, made_of
 from league.matchmaking.store.queue import BATCH, check_worker, unknown_heat
 from league.matchmaking.store.race_table import NO_TRACK, driven, packed, runs_of
 from league.matchmaking.store.records import HeatOutcome, RaceOutcome, Received, StoredResult
@@ -22,7 +22,7 @@ from league.matchmaking.store.schema import Change, LedgerRecord, heats, races, 
 
 OF_HEATS = (
     sa.select(results)
-    .where(results.c.heat.in_(sa.bindparam("heats", expanding=True)))
+    .where(results.c.heat.in_(sa.bindparam("asked", expanding=True)))
     .order_by(results.c.heat, results.c.half, results.c.received_s)
 )
 """Selects the results of some heats; made once, which takes as long as to ask."""
@@ -298,11 +298,9 @@ def settlement(heat: int, kept: Iterable[tuple[int, str]]) -> LedgerRecord:
 
 def read_results(connection: sa.Connection, numbers: Sequence[int]) -> list[StoredResult]:
     """Return all results of heats, by race and time; several for one race are a dispute."""
-    stored, wanted = list[StoredResult](), sorted(numbers)
-    for start in range(0, len(wanted), MOST_ASKED):
-        asked = {"heats": wanted[start : start + MOST_ASKED]}
-        for row in connection.execute(OF_HEATS, asked):
-            document = json.loads(zlib.decompress(row.document))
-            places = tuple(document["places"])
-            stored.append(made_of(StoredResult, row, places=places, result=document["result"]))
+    stored: list[StoredResult] = []
+    for row in asked_for(connection, OF_HEATS, sorted(numbers)):
+        document = json.loads(zlib.decompress(row.document))
+        places = tuple(document["places"])
+        stored.append(made_of(StoredResult, row, places=places, result=document["result"]))
     return stored
