@@ -252,7 +252,7 @@ class Pole:
 
 def pole(standings: Standings) -> Pole | None:
     """Return what the first slot of the grid decides; None without a race of two cars."""
-    results = standings.results.distinct()
+    results = standings.results.by_heat()
     present = results.entries >= 0
     cars = present.sum(axis=1)
     results, present, cars = results.rows(cars > 1), present[cars > 1], cars[cars > 1]

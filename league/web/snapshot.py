@@ -205,6 +205,8 @@ def take(store: Store, before: Snapshot | None = None) -> Snapshot:
     if before is not None and before.settings != settings:
         before = None
     before = before and (before.settled or before)
+    if before is not None and "quarantine" in store.happened(before.revision):
+        before = None  # races were taken back, and perhaps given again
     entries = tuple(store.entries_again(before.entries if before else ()))
     races = _races(store, before)
     rules = settings.ruleset

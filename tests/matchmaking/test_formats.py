@@ -83,6 +83,23 @@ def test_in_a_reverse_grid_the_best_rated_starts_last_in_both_races(tmp_path):
             assert list(one.grid) == sorted(one.grid, key=lambda id: elo[id])
 
 
+def test_both_races_of_a_reverse_grid_are_rated_however_they_end(tmp_path):
+    class Even(Known):
+        def outcome(self, half: Half, seed: int) -> RaceOutcome:
+            known = super().outcome(half, seed)
+            places = (1, 2) if seed % 2 and len(set(half.grid)) == 2 else known.places
+            return RaceOutcome(places, known.result)
+
+    with new_league(
+        f"sqlite:///{tmp_path / 'league.db'}", rules=replace(SHORT, format="reverse")
+    ) as store:
+        for number in range(3):
+            submitted(store, f"e{number}", seed=number, senses="blind")
+        loop.run(store, Dispatcher(store, Even(store)), Matchmaker(store), heats=30)
+        table = standings.of(store)
+        assert table.num_races == 2 * len(rated(store, "done"))
+
+
 def test_qualifying_puts_the_best_lap_on_the_track_first_and_who_has_none_last(tmp_path):
     with raced(tmp_path, replace(SHORT, format="qualifying", tracks=TRACKS)) as store:
         skill = Known(store).skill

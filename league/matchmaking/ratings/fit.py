@@ -21,17 +21,13 @@ from league.matchmaking.ratings.pair_counts import (
     PairCounts,
     RatingData,
     Results,
+    Squares,
     count,
     groups,
     slope,
 )
-from league.matchmaking.ratings.systems import Blocks, Sparse, Squares, Variances
-from league.matchmaking.ratings.table import (
-    SIGMAS_95,
-    Carried,
-    Posterior,
-    Ratings,
-)
+from league.matchmaking.ratings.systems import Blocks, Sparse, Variances
+from league.matchmaking.ratings.table import SIGMAS_95, Carried, Posterior, Ratings
 
 ANCHOR_ELO = 1000.0
 """Where the anchor is pinned."""
@@ -89,7 +85,7 @@ def fit(
     """Rate a field from all its races.
 
     Args:
-        races: in any order, delivered once or more often; or counted already.
+        races: in any order; or counted already.
         settings: the league's choices.
         entries: numbers to rate even if they have not raced yet (where races are not counted yet).
         anchor: the entry that is 1000.
@@ -97,7 +93,7 @@ def fit(
         near: ratings by nearly the same races: the search begins there and is short.
 
     Raises:
-        ConfigError: no entry to rate, an anchor that is not in the field, contradicting results.
+        ConfigError: no entry to rate, or an anchor that is not in the field.
     """
     data = races if isinstance(races, RatingData) else RatingData.of(races, entries)
     settings = settings or RatingSettings()
@@ -335,7 +331,7 @@ def updated(fitted: Ratings, later: Results) -> Ratings | None:
         return None
     room = ((0, 0), (0, slots - later.entries.shape[1]))
     entries = np.pad(np.where(raced, place, EMPTY), room, constant_values=EMPTY)
-    results = Results(later.heats, entries, np.pad(later.places, room)).distinct()
+    results = Results(later.heats, entries, np.pad(later.places, room))
     counts = count(results, len(fitted.entries))
     parameters, weights = _climbed(fitted, counts)
     return _rated(fitted, results, counts, parameters, weights)

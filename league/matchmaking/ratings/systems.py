@@ -10,14 +10,13 @@ conjugate gradients and estimate diagonals from random probes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse.linalg import aslinearoperator, cg
 
-from league.matchmaking.ratings.pair_counts import PairCounts, Results, race_scores
+from league.matchmaking.ratings.pair_counts import PairCounts, Squares
 
 DENSE_MOST = 1500
 """Entries that met others up to which H is factored; beyond, the cube of these is too slow."""
@@ -35,73 +34,6 @@ SMALL = 3e-3
 """Share of a step's largest number below which the others are left out of the step."""
 PULL = 50.0
 """Heats an entry needs for its own scatter to count as much as the field's."""
-
-
-@dataclass(frozen=True)
-class Squares:
-    """The middle of the sandwich, J + prior, by blocks; that of the strengths by its factor."""
-
-    scores: sparse.csr_array
-    """Slope of each heat by strength, each entry once, (heats, entries)."""
-    prior: np.ndarray
-    """Precisions of the strengths, (entries,)."""
-    border: np.ndarray
-    """By strength and slot, (entries, slots)."""
-    corner: np.ndarray
-    """By slot and slot, (slots, slots)."""
-    heats: np.ndarray
-    """Heats each entry was in, (entries,)."""
-
-    @property
-    def size(self) -> int:
-        """Number of parameters."""
-        return sum(self.border.shape)
-
-    @classmethod
-    def of(cls, results: Results, at: np.ndarray, prior: np.ndarray) -> Squares:
-        """Sum the squared slopes of the heats at some parameters; races must be sorted by heat."""
-        slots = results.entries.shape[1]
-        size = len(at) - slots
-        scores = race_scores(results, at[:size], at[size:])
-        starts = np.flatnonzero(np.diff(results.heats, prepend=results.heats[:1] - 1))
-        by_slot = np.add.reduceat(scores, starts, axis=0) if len(starts) else scores
-        # One row a heat; an entry that stands in it twice (once a race) is summed by the product.
-        raced = results.entries >= 0
-        before = np.append(0, np.cumsum(raced.sum(axis=1)))  # cars that stood in earlier races
-        bounds = before[np.append(starts, len(results))]
-        heats = sparse.csr_array(
-            (scores[raced], results.entries[raced], bounds), shape=(len(starts), size)
-        )
-        heats.sum_duplicates()
-        return cls(
-            scores=heats,
-            prior=prior[:size],
-            border=heats.T @ by_slot,
-            corner=by_slot.T @ by_slot + np.diag(prior[size:]),
-            heats=np.bincount(heats.indices, minlength=size),
-        )
-
-    def diagonal(self) -> np.ndarray:
-        """Return the diagonal by strength, (entries,)."""
-        squares = np.bincount(self.scores.indices, self.scores.data**2, len(self.prior))
-        return squares + self.prior
-
-    def table(self, met: np.ndarray) -> np.ndarray:
-        """Return the rows and columns of some entries (indices) and of the slots, dense."""
-        scores, border = self.scores[:, met], self.border[met]
-        entries = (scores.T.tocsr() @ scores).toarray() + np.diag(self.prior[met])
-        return np.block([[entries, border], [border.T, self.corner]])
-
-    def entries_times(self, vectors: np.ndarray) -> np.ndarray:
-        """Return the product of the strengths' block with some columns, (entries, columns)."""
-        return self.scores.T @ (self.scores @ vectors) + self.prior[:, None] * vectors
-
-    def times(self, vectors: np.ndarray) -> np.ndarray:
-        """Return the product with some columns, (entries + slots, columns)."""
-        size = len(self.border)
-        entries, slots = vectors[:size], vectors[size:]
-        above = self.entries_times(entries) + self.border @ slots
-        return np.concatenate([above, self.border.T @ entries + self.corner @ slots])
 
 
 class Blocks:
