@@ -121,12 +121,8 @@ def _own_ratings(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the likeliest ratings, and their standard deviations, given those of all opponents.
 
-    Args:
-        points: made against each car, (races, cars).
-        needed: the rating at which the two would be even, (races, cars).
-        met: whether a car counts at a moment, (moments, races, cars).
-        middle: of the field [Elo].
-        spread: of the field [Elo].
+    Against each car there are the points made and the rating `needed` to be even with it, (races,
+    cars); `met` tells whether it counts at a moment, (moments, races, cars).
     """
     at, moments = met.any(axis=0), len(met)
     counts, points, needed = met[:, at].astype(float), points[at], needed[at]  # (moments, cars met)

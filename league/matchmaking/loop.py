@@ -64,14 +64,9 @@ def run(
 ) -> Tally:
     """Plan and race until a limit is reached; heats under way are finished first.
 
-    Args:
-        store: the league; not needed without a matchmaker.
-        dispatcher: claims and races heats.
-        matchmaker: without one the heats in the queue are raced.
-        heats: end after so many, those that were given up included.
-        seconds: begin no heat after this time [s].
-        stop: called at each step; once it returns True no heat is begun.
-        watch: called after each step.
+    Without a matchmaker, which needs the store, the heats in the queue are raced. It ends after so
+    many `heats`, those that were given up included. No heat is begun after so many `seconds`, nor
+    once `stop`, which each step calls, returns True.
     """
     tally, began_s, planned_s, due = Tally(), time.monotonic(), 0.0, True
     while True:

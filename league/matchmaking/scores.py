@@ -34,13 +34,7 @@ class RaceScore:
 def race_scores(
     rated: Standings | PastSeason, number: int, other: int | None = None
 ) -> list[RaceScore]:
-    """Return an entry's rated races, by heat and race.
-
-    Args:
-        rated: the standings, or as much of them.
-        number: of the entry.
-        other: number of the only opponent that counts; by default all count.
-    """
+    """Return an entry's rated races, by heat and race; if given, only one other entry counts."""
     own = standings.own_races(rated.races, rated.ratings, number)
     races, counts = own.races, own.met
     if other is not None:
@@ -98,14 +92,8 @@ def scores_by_season(
 ) -> dict[int | None, list[RaceScore]]:
     """Return the races of two entries, points of the one, by number of the season, the first first.
 
-    None is for races in no season.
-
-    Args:
-        raced: races under each of some rules, with the tracks of these.
-        seasons: all of the league.
-        ratings: returns those that tell what was expected in a season, or in none.
-        one: number of an entry.
-        other: number of the other one.
+    None is for races in no season. `raced` are races under each of some rules, with the tracks of
+    these; `ratings` returns those that tell what was expected in a season, or in none.
     """
     found: dict[int | None, list[RaceScore]] = {}
     for races, tracks in raced:
@@ -133,14 +121,10 @@ class BestLap:
 
 
 def clean_laps(races: Races, tracks: Sequence[str]) -> dict[str, list[BestLap]]:
-    """Return the fastest clean lap of each entry on each track, the fastest first.
+    """Return the fastest clean lap of each entry on each of a ruleset's tracks, the fastest first.
 
     A lap is clean in a race without a fault: no leaving of the track, no contact to blame for, no
     standing still, no driving backwards. Among equal laps the earlier one counts.
-
-    Args:
-        races: of one ruleset.
-        tracks: its tracks.
     """
     row, slot = np.nonzero(races.runs & CLEAN)
     entry, track = races.entries[row, slot], races.track[row]

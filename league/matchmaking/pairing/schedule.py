@@ -106,19 +106,12 @@ def next_heats(
     heats: int | None = None,
     same_owner: bool = False,
 ) -> list[HeatPlan]:
-    """Plan a round of rated heats.
+    """Plan a round of rated heats; fewer than asked for, possibly none, if no more may meet.
 
-    Args:
-        field: all entries; those not in a rated state are left out.
-        meetings: how often pairs have met, planned heats included.
-        rules: cars of a race, fewer if the field has not so many owners, and tracks.
-        generator: random numbers.
-        heats: how many; by default half as many as there are entries, so that workers do not
-            wait for a refit and no plan is older than a round.
-        same_owner: whether entries of one owner may meet; a league of one person needs it.
-
-    Returns:
-        Fewer heats than asked for, possibly none, if the rules let no more entries meet.
+    By default there are half as many as entries, so that workers do not wait for a refit and no
+    plan is older than a round. Entries that are not in a rated state are left out. A race has fewer
+    cars than the rules say if the field has not so many owners; entries of one owner may meet
+    (`same_owner`) in a league of one person.
     """
     field = [one for one in field if one.state in RATED]
     if min(len(field), rules.cars) < 2:
