@@ -60,8 +60,9 @@ def next_moves(
 ) -> list[Move]:
     """Return the moves that a round (its number) begins with.
 
-    They follow from the divisions so far, ratings and safety, all by the entries' numbers. `members`
-    have divisions: entries in a rated state, no anchors. `heat` is the newest one that counted.
+    They follow from the divisions so far (`current`), ratings and safety, by entries' numbers. Only
+    `members` have divisions: entries in a rated state, no anchors. `heat` is the newest one
+    that counted.
     """
     order = [int(n) for n in fitted.entries[fitted.order()] if int(n) in members]
     table = _Table(settings, fitted, safety, order)

@@ -67,7 +67,7 @@ class Record:
 
 
 def rated(drives: Drives, tracks: Sequence[str], earlier: Record | None = None) -> Record:
-    """Return the safety ratings that follow from drives under one ruleset, and from earlier ones."""
+    """Return the safety ratings by drives under one ruleset, and by what came before them."""
     later = drives.where((drives.track < len(tracks)) & (drives.distance_cm > 0))
     if earlier is None:
         return _rated(later, tracks)

@@ -148,10 +148,11 @@ def rated(
     carried: Carried | None = None,
     near: Ratings | None = None,
 ) -> tuple[RatingData, Ratings] | None:
-    """Return a league's counted results and their fit, pinned to its first anchor; None without any.
+    """Return a league's counted results and their fit, pinned to the first anchor.
 
     Rated are entries in a rated state, those that raced, and those with the numbers `also`.
     `carried` is what is known from an earlier season, `near` are ratings by nearly the same races.
+    None without an entry to rate.
     """
     numbers = {entry.number for entry in entries if entry.state in RATED} | set(also)
     data = RatingData.of(results, sorted(numbers))

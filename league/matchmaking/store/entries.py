@@ -218,10 +218,10 @@ def check_quota(change: Change, owner: str, quota: Quota) -> None:
         )
 
 
-def ledger_record(row: Any) -> LedgerRecord:  # noqa: ANN401
+def ledger_record(row: sa.Row[Any]) -> LedgerRecord:
     """Return what the ledger records of an entry at its submission: all that never changes."""
     names = ("number", "name", "owner_name", "kind", "anchor", "card", "created_s")
-    return LedgerRecord("entry", row.id, [row._mapping[name] for name in names])
+    return LedgerRecord("entry", row.id, [getattr(row, name) for name in names])
 
 
 def with_owners(table: sa.Table = entries) -> sa.Select[Any]:
@@ -231,7 +231,7 @@ def with_owners(table: sa.Table = entries) -> sa.Select[Any]:
     )
 
 
-def _entry(row: Any) -> LeagueEntry:  # noqa: ANN401
+def _entry(row: sa.Row[Any]) -> LeagueEntry:
     return made_of(LeagueEntry, row, owner=row.owner_name, card=json.loads(row.card))
 
 
@@ -323,5 +323,5 @@ def _hash(secret: str) -> str:
     return heat_spec.digest(secret.encode("utf-8", "replace"))
 
 
-def _token(row: Any) -> Token:  # noqa: ANN401
+def _token(row: sa.Row[Any]) -> Token:
     return made_of(Token, row, owner=row.owner_name, scopes=tuple(row.scopes.split()))

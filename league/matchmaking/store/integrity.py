@@ -118,7 +118,7 @@ def _result_records(connection: sa.Connection, numbers: list[int]) -> Iterator[L
         yield results.ledger_record(row.key, row._mapping)
 
 
-def _check_record(found: Integrity, row: Any, now: dict[tuple[str, str], Any]) -> None:  # noqa: ANN401
+def _check_record(found: Integrity, row: sa.Row[Any], now: dict[tuple[str, str], Any]) -> None:
     """Check that a record of the ledger follows from the one before and from what tables hold."""
     what = f"record {row.number} of the ledger ({row.kind} {row.subject[:24]})"
     if row.number != found.records + 1:
@@ -188,7 +188,7 @@ def _check_heats(
 
 def _check_races(
     found: Integrity,
-    row: Any,  # noqa: ANN401
+    row: sa.Row[Any],
     stored: list[Any],
     counted: list[Any],
     tracks: dict[int, tuple[str, ...]],
@@ -216,7 +216,7 @@ def _check_races(
     found.races += len(expected)
 
 
-def _read(found: Integrity, row: Any) -> PackedResult | None:  # noqa: ANN401
+def _read(found: Integrity, row: sa.Row[Any]) -> PackedResult | None:
     """Return what the standings use of a result's document; None if it is not the one that came."""
     try:
         text = zlib.decompress(row.document)

@@ -242,7 +242,7 @@ class QueueStore(schema.Transactional):
         rows.sort(key=lambda row: row[0].number)
         return [self._record(row, halves) for row, halves in rows]
 
-    def _record(self, row: Any, halves: list[Any]) -> HeatRecord:  # noqa: ANN401
+    def _record(self, row: sa.Row[Any], halves: list[Any]) -> HeatRecord:
         heat = heat_in(row, halves, self._entry_ids)
         vars(heat)["key"] = row.key  # computed when it was planned; Store.verify computes it again
         is_public = row.state in ("done", "quarantined")
@@ -283,7 +283,7 @@ def _asked(given: frozenset[str], *, newest: bool) -> sa.Select[Any]:
     return query.limit(sa.bindparam("limit")) if "limit" in given else query
 
 
-def heat_in(row: Any, halves: list[Any], id_of: Mapping[int, str]) -> Heat:  # noqa: ANN401
+def heat_in(row: sa.Row[Any], halves: list[Any], id_of: Mapping[int, str]) -> Heat:
     """Return the heat in a row of `with_rules`, with the ids of entries (given by number)."""
     races = tuple(Half(track, tuple([id_of[number] for number in grid])) for track, grid in halves)
     return Heat(row.rules, races, row.draw, row.purpose, row.audited_key or "")

@@ -167,11 +167,7 @@ def _take_in(
 
 
 def _judge(
-    intake: _Intake,
-    row: Any,  # noqa: ANN401
-    sent: Sequence[PackedResult],
-    worker: str,
-    now: float,
+    intake: _Intake, row: sa.Row[Any], sent: Sequence[PackedResult], worker: str, now: float
 ) -> str:
     """Note what one heat's results change; return the name of a field of Received."""
     _check_places(row, sent)
@@ -223,7 +219,7 @@ def _judge(
     return "accepted"
 
 
-def _check_places(row: Any, sent: Sequence[PackedResult]) -> None:  # noqa: ANN401
+def _check_places(row: sa.Row[Any], sent: Sequence[PackedResult]) -> None:
     cars = [len(grid) for _, grid in json.loads(row.halves)]
     sent_cars = [len(one.places) for one in sent]
     if sent_cars != cars:
@@ -239,9 +235,7 @@ def _check_places(row: Any, sent: Sequence[PackedResult]) -> None:  # noqa: ANN4
 
 
 def race_rows(
-    tracks_of: Mapping[int, tuple[str, ...]],
-    row: Any,  # noqa: ANN401
-    sent: Sequence[PackedResult],
+    tracks_of: Mapping[int, tuple[str, ...]], row: sa.Row[Any], sent: Sequence[PackedResult]
 ) -> list[dict[str, Any]]:
     """Return the rows of `races` that follow from a heat's row and its results."""
     tracks, rows = tracks_of[row.ruleset], []
