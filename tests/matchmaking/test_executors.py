@@ -14,9 +14,9 @@ import pytest
 
 from league.errors import ConfigError
 from league.matchmaking import workers
+from league.matchmaking.loop import heat_driver
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.workers import ProcessExecutor
-from league.matchmaking.workers.dispatcher import heat_driver
 from league.matchmaking.workers.worker import HeatJob, HeatReport, RaceWorker
 from tests.matchmaking.season_kit import SHORT, new_league, submitted
 

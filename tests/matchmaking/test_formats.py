@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 
 from league.matchmaking import loop, standings
+from league.matchmaking.loop import Dispatcher, heat_driver
 from league.matchmaking.pairing.heat_spec import Half, Ruleset
 from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import HeatOutcome, HeatRecord, RaceOutcome, Store
-from league.matchmaking.workers.dispatcher import Dispatcher, heat_driver
 from league.matchmaking.workers.worker import HeatJob, HeatReport, RaceWorker
 from league.replay import format as replay_format
 from tests.matchmaking.season_kit import SHORT, Here, new_league, submitted

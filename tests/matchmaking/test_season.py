@@ -11,10 +11,10 @@ import pytest
 from league.cli import main
 from league.errors import StoreError
 from league.matchmaking import history, loop, standings
+from league.matchmaking.loop import Dispatcher
 from league.matchmaking.pairing import matchmaker
 from league.matchmaking.pairing.matchmaker import ROUND, Matchmaker
 from league.matchmaking.store import RATED, HeatOutcome, RaceOutcome, Store
-from league.matchmaking.workers.dispatcher import Dispatcher
 from league.matchmaking.workers.worker import HeatJob, HeatReport
 from tests.matchmaking import leagues
 from tests.matchmaking.season_kit import Here, new_league, submitted

@@ -162,13 +162,12 @@ def _elo(value: float) -> str:
 def _driver(store: Store, text: str) -> HeatDriver:
     """Return an entry by name or id, or a checkpoint by its file or its name in the garage."""
     from league.agents import checkpoint, roster
-    from league.matchmaking import submission
-    from league.matchmaking.workers import dispatcher
+    from league.matchmaking import loop, submission
     from league.matchmaking.workers.worker import HeatDriver
 
     entered = text not in roster.garage() or text in (entry.name for entry in store.entries())
     if entered and not text.endswith(".pt"):
-        return dispatcher.heat_driver(store, store.entry(text))
+        return loop.heat_driver(store, store.entry(text))
     loaded = checkpoint.load(roster.checkpoint_path(text))
     submission.check_sensors(loaded.card.sensors, store.settings.ruleset)
     return HeatDriver(submission.identity(loaded), Path(text).stem, weights=submission.pack(loaded))

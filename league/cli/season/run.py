@@ -24,11 +24,10 @@ from league.errors import ConfigError, LeagueError
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from league.matchmaking.loop import Tally
+    from league.matchmaking.loop import Dispatcher, FinishedHeat, HeatSource, Tally
     from league.matchmaking.pairing.matchmaker import Matchmaker
     from league.matchmaking.standings import Standings
     from league.matchmaking.store import Store
-    from league.matchmaking.workers.dispatcher import Dispatcher, FinishedHeat, HeatSource
 
 REFIT_EVERY_S = 5.0
 """Interval at which the page computes the standings, at least [s]."""
@@ -75,7 +74,7 @@ class Racing(OnLeague):
     def _race(self, source: HeatSource, store: Store | None) -> None:
         """Race heats of a source; `store` is the league, where it is on this machine."""
         from league.matchmaking import loop
-        from league.matchmaking.workers.dispatcher import Dispatcher
+        from league.matchmaking.loop import Dispatcher
 
         with ExitStack() as stack:
             matchmaker = self._matchmaker(store) if store else None
