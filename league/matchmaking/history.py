@@ -113,7 +113,7 @@ def own_history(rated: Standings, own: OwnRaces, *, points: int = 20) -> list[Hi
         for count, elo, sd in zip(picked.tolist(), elos.tolist(), sds.tolist(), strict=True)
     ]
     now = ratings.line(ratings.index(own.number), "elo", "low95", "high95")
-    return [*moments[:-1], HistoryPoint(rated.newest_heat, len(heats), **now)]
+    return [*moments[:-1], HistoryPoint(int(rated.races.heat.max()), len(heats), **now)]
 
 
 def _own_ratings(

@@ -164,7 +164,10 @@ def joined_laps(
         # Among equal laps the earlier heat counts, which may have come in later.
         faster = [lap for lap in laps if lap.lap_s <= best_s.get(lap.number, np.inf)]
         if faster:
-            found[track] = _best_of(known + faster)
+            best: dict[int, BestLap] = {}
+            for lap in sorted(known + faster, key=lambda lap: (lap.lap_s, lap.heat, lap.race)):
+                best.setdefault(lap.number, lap)
+            found[track] = list(best.values())
     return found
 
 
@@ -203,15 +206,6 @@ def time_attack(
     return Boards(found, last)
 
 
-def _best_of(laps: list[BestLap]) -> list[BestLap]:
-    """Return the best one of each entry's laps, the fastest first."""
-    ordered = sorted(laps, key=lambda lap: (lap.lap_s, lap.heat, lap.race))
-    best: dict[int, BestLap] = {}
-    for lap in ordered:
-        best.setdefault(lap.number, lap)
-    return list(best.values())
-
-
 @dataclass(frozen=True)
 class Pole:
     """How much of the results the first slot of the grid decides."""
@@ -234,25 +228,24 @@ class Pole:
     """Upper end of it [Elo]."""
 
 
-def pole(standings: Standings) -> Pole | None:
+def pole(rated: Standings) -> Pole | None:
     """Return what the first slot of the grid decides; None without a race of two cars."""
-    results = standings.results.by_heat()
+    results = standings.results_of(rated.races).by_heat()
     present = results.entries >= 0
     cars = present.sum(axis=1)
     results, present, cars = results.rows(cars > 1), present[cars > 1], cars[cars > 1]
     races = len(results)
     if not races:
         return None
-    first = (results.places == results.places.min(axis=1, where=present, initial=255)[:, None]) & (
-        present
-    )
+    best = results.places.min(axis=1, where=present, initial=255)
+    first = (results.places == best[:, None]) & present
     won = float((first[:, 0] / first.sum(axis=1)).mean())
     # Wilson's interval stays within 0 and 1, also where every race was won from one slot.
     squared = SIGMAS_95**2 / races
     middle = (won + squared / 2) / (1 + squared)
     half = np.sqrt(squared * (won * (1 - won) + squared / 4)) / (1 + squared)
-    fitted = standings.ratings
-    elo, reach = float(fitted.slot_advantages[0]), SIGMAS_95 * float(fitted.slot_sd[0])
+    slot = rated.ratings.slot_advantages[0], rated.ratings.slot_sd[0]
+    elo, reach = float(slot[0]), SIGMAS_95 * float(slot[1])
     return Pole(
         races=races,
         won=won,

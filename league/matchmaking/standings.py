@@ -15,14 +15,7 @@ from league.matchmaking.ratings import updated as updated_ratings
 from league.matchmaking.ratings.goodness_of_fit import Goodness, goodness_of_fit
 from league.matchmaking.ratings.table import Strengths
 from league.matchmaking.scope import RatingScope, Runs, scope
-from league.matchmaking.store import (
-    RATED,
-    EntryState,
-    LeagueEntry,
-    Races,
-    Season,
-    Store,
-)
+from league.matchmaking.store import RATED, EntryState, LeagueEntry, Races, Season, Store
 
 ENTRY_FIELDS = ("id", "name", "owner", "anchor", "state")
 """What a line takes from its entry."""
@@ -101,19 +94,9 @@ class Standings:
     """The season that the races belong to; None in a league without seasons."""
 
     @cached_property
-    def results(self) -> Results:
-        """The races as the fit reads them."""
-        return results_of(self.races)
-
-    @cached_property
     def by_number(self) -> dict[int, Row]:
         """The lines by the entries' numbers, best first."""
         return {row.number: row for row in self.rows}
-
-    @cached_property
-    def newest_heat(self) -> int:
-        """Largest number of a heat; 0 before the first."""
-        return int(self.races.heat.max(initial=0))
 
     def own_races(self, number: int) -> OwnRaces:
         """Return the races of an entry."""

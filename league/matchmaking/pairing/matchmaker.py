@@ -296,10 +296,7 @@ class _Roster:
 
     @classmethod
     def of(
-        cls,
-        entries: Sequence[LeagueEntry],
-        past: _Past,
-        validations: dict[int, list[HeatRecord]],
+        cls, entries: Sequence[LeagueEntry], past: _Past, validations: dict[int, list[HeatRecord]]
     ) -> _Roster:
         """Return where every entry stands."""
         roster = cls()

@@ -14,7 +14,6 @@ from typing import Literal
 
 import numpy as np
 
-from league.errors import ConfigError
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.ratings.pair_counts import ELO, groups
 from league.matchmaking.ratings.table import PROVISIONAL_SD
@@ -82,10 +81,7 @@ def rated_state(sd: float) -> EntryState:
 
 
 def validation_heats(
-    newcomer: Contender,
-    field: Sequence[Contender],
-    rules: Ruleset,
-    generator: np.random.Generator,
+    newcomer: Contender, field: Sequence[Contender], rules: Ruleset, generator: np.random.Generator
 ) -> list[HeatPlan]:
     """Plan a newcomer's race against itself, and one against an anchor if there is one."""
     own, other = (str(track) for track in generator.choice(rules.tracks, size=2))
@@ -168,8 +164,6 @@ class _Grids:
         same_owner: bool,
     ) -> None:
         place = {one.entry: index for index, one in enumerate(field)}
-        if len(place) != len(field):
-            raise ConfigError("an entry stands twice in the standings: give each once")
         self.cars, self.generator = rules.cars, generator
         self.entries = np.array([one.entry for one in field])
         numbers = np.array([(one.elo, one.sd, one.races) for one in field], dtype=float)

@@ -13,7 +13,7 @@ import sqlalchemy as sa
 from league.errors import QuotaError, StoreError, brief, nearest_names
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store import records, schema
-from league.matchmaking.store.blobs import BlobStore, FolderBlobs, insert_blob
+from league.matchmaking.store.blobs import FolderBlobs, insert_blob
 from league.matchmaking.store.database import chunked, made_of
 from league.matchmaking.store.names import check_name, looks
 from league.matchmaking.store.queue import cancel, entry_numbers, of_entry
@@ -29,7 +29,7 @@ USED_EVERY_S = 3600.0
 """How exactly the last use is noted [s]: a write for every request would be too many."""
 
 
-class EntryStore(BlobStore):
+class EntryStore(schema.Transactional):
     """The part of a Store that is about entries."""
 
     def submit(

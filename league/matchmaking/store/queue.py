@@ -44,8 +44,6 @@ STATES = (
 class QueueStore(schema.Transactional):
     """The part of a Store that is about heats and their queue."""
 
-    _secret: bytes
-    """The league's, which makes the seeds."""
     _entry_ids: dict[int, str]
     """Ids of entries by their numbers; they never change."""
 

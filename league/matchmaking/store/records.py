@@ -206,7 +206,7 @@ class RaceOutcome:
     @cached_property
     def hash(self) -> str:
         """SHA-256 of places and result."""
-        return heat_spec.result_hash({"places": self.places, "result": self.result})
+        return heat_spec.digest(heat_spec.canonical({"places": self.places, "result": self.result}))
 
 
 @dataclass(frozen=True)
