@@ -166,8 +166,3 @@ def seed(secret: bytes, heat_key: str, half: int) -> int:
     """
     code = hmac.digest(secret, f"{heat_key}/{half}".encode(), "sha256")
     return int.from_bytes(code[:8], "big") >> 1
-
-
-def scripted_id(name: str) -> str:
-    """Return the entry id of a scripted driver, which has no weights to hash."""
-    return digest(f"scripted driver {name}".encode())

@@ -13,7 +13,6 @@ from scipy import sparse
 from scipy.sparse.linalg import aslinearoperator, cg
 from scipy.special import wrightomega
 
-from league.errors import ConfigError
 from league.matchmaking.ratings import systems
 from league.matchmaking.ratings.pair_counts import (
     ELO,
@@ -66,12 +65,6 @@ class RatingSettings:
     dense_most: int = systems.DENSE_MOST
     """Entries that met others up to which variances are exact; of more they are right to 1 %."""
 
-    def __post_init__(self) -> None:
-        for name in ("prior_sd", "slot_sd"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < np.inf:
-                raise ConfigError(f"{name} is {value}: give a spread above 0 Elo")
-
 
 def fit(
     races: Results | RatingData,
@@ -88,19 +81,12 @@ def fit(
         races: in any order; or counted already.
         settings: the league's choices.
         entries: numbers to rate even if they have not raced yet (where races are not counted yet).
-        anchor: the entry that is 1000.
+        anchor: the entry that is 1000, one of the field.
         carried: ratings of an earlier season, which these races change.
         near: ratings by nearly the same races: the search begins there and is short.
-
-    Raises:
-        ConfigError: no entry to rate, or an anchor that is not in the field.
     """
     data = races if isinstance(races, RatingData) else RatingData.of(races, entries)
     settings = settings or RatingSettings()
-    if not len(data.entries):
-        raise ConfigError("there are no entries to rate: submit one, or give results")
-    if anchor is not None and anchor not in data.entries:
-        raise ConfigError(f"anchor {anchor} is not in the field: name one of its entries")
     model = _Model(data, settings, carried, near)
     prior_sd = carried.prior_sd if carried and settings.prior_sd is None else settings.prior_sd
     posterior = model.learned() if prior_sd is None else model.at(prior_sd)

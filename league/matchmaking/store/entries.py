@@ -55,7 +55,7 @@ class EntryStore(schema.Transactional):
             FolderBlobs(self._blobs_url).put(weights)
         blob = heat_spec.digest(weights or b"")
         card = {**(card or {}), **({"driver": scripted} if scripted else {"blob": blob})}
-        id = heat_spec.scripted_id(scripted) if scripted else id or blob
+        id = heat_spec.digest(f"scripted driver {scripted}".encode()) if scripted else id or blob
         kind = "policy" if scripted is None else "scripted"
         query = with_owners().where(entries.c.id == id)
         with self._writing(lock=True) as change:
