@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from league.matchmaking import divisions, history, safety, standings
+from league.matchmaking import divisions, safety, scores, standings
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.scope import RatingScope, scope
 from league.matchmaking.scores import BestLap, clean_laps, joined_laps
@@ -223,7 +223,7 @@ def take(store: Store, before: Snapshot | None = None) -> Snapshot:
             rules.tracks,
             near=before.rated.ratings if before and before.rated else None,
         )
-        trends = history.trends(rated, within.carried) if rated else {}
+        trends = scores.trends(rated, within.carried) if rated else {}
         if rated and isinstance(store, SeasonView):
             rated = replace(rated, rows=_frozen(rated.rows, store.rows))
     seasons = tuple(store.seasons())

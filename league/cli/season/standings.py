@@ -131,12 +131,12 @@ class ShowHistory(Reading):
     """How many moments."""
 
     def run(self) -> None:
-        from league.matchmaking import history
+        from league.matchmaking import scores
 
         season.at_least(self, "points", 1)
         with self.opened() as store:
             entry = store.entry(self.entry)
-            moments = history.history(store, entry, points=self.points)
+            moments = scores.history(store, entry, points=self.points)
         if self.json:
             season.print_json(moments)
             return
