@@ -194,13 +194,11 @@ class Matchmaker:
 
     def _find_latest(self, ruleset: str) -> _Round:
         """Return the newest round; what is known of it from last time saves reading."""
-        known = self._latest
-        since = known.first - 1
-        if not known.number:
+        since = self._latest.first - 1
+        if not self._latest.number:
             since = max(0, sum(self._store.counts().values()) - LOOK_BACK)
         heats = _season_heats(self._store.heats(since=since), ruleset)
-        if not heats and since > 0 and not known.number:
-            heats = _season_heats(self._store.heats(), ruleset)
+        heats = heats or _season_heats(self._store.heats(), ruleset)
         if not heats:
             return _Round()
         number = max(_round(record) for record in heats)
@@ -357,8 +355,7 @@ def _heat(
         if line_up is not None:
             grid = sorted(grid, key=lambda entry: line_up(entry, track))
         halves.append(Half(track, tuple(id_of[entry] for entry in grid)))
-    halves = tuple(halves)
-    return Heat(ruleset, halves, draw, "rated" if plan.rated else "validation")
+    return Heat(ruleset, tuple(halves), draw, "rated" if plan.rated else "validation")
 
 
 def _season_heats(records: Sequence[HeatRecord], ruleset: str) -> list[HeatRecord]:

@@ -238,10 +238,9 @@ class QueueStore(schema.Transactional):
             ids = connection.execute(sa.select(entries.c.number, entries.c.id))
             self._entry_ids.update(map(tuple, ids))
         rows.sort(key=lambda row: row[0].number)
-        return [self._record(row, halves) for row, halves in rows]
+        return [self._record(row, heat_in(row, halves, self._entry_ids)) for row, halves in rows]
 
-    def _record(self, row: sa.Row[Any], halves: list[Any]) -> HeatRecord:
-        heat = heat_in(row, halves, self._entry_ids)
+    def _record(self, row: sa.Row[Any], heat: Heat) -> HeatRecord:
         vars(heat)["key"] = row.key  # computed when it was planned; Store.verify computes it again
         is_public = row.state in ("done", "quarantined")
         seeds = self.seeds(heat) if is_public else None
