@@ -13,7 +13,7 @@ from league.matchmaking import standings
 from league.matchmaking.ratings import Carried, RatingData, refit
 from league.matchmaking.ratings.pair_counts import ELO, changes
 from league.matchmaking.ratings.table import SIGMAS_95, Strengths, expected_score
-from league.matchmaking.scope import scope
+from league.matchmaking.scope import frozen_columns, scope
 from league.matchmaking.standings import OwnRaces, Standings
 from league.matchmaking.store import BEST_MS, CLEAN, LeagueEntry, Races, Season, Store
 from league.sim.config import RaceKind
@@ -80,13 +80,8 @@ class PastSeason:
 
 def final_ratings(document: Mapping[str, Any]) -> Strengths:
     """Return the ratings that a season was frozen with, from its document."""
-    table = document["standings"]
-    rows = sorted(table["entries"], key=lambda row: row["number"])
-    return Strengths(
-        entries=np.array([row["number"] for row in rows]),
-        elo=np.array([row["elo"] for row in rows]),
-        slot_advantages=np.array(table["slot_advantages"]),
-    )
+    slot_advantages = np.array(document["standings"]["slot_advantages"])
+    return Strengths(*frozen_columns(document, "number", "elo"), slot_advantages)
 
 
 def scores_by_season(

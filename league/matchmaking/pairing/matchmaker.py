@@ -27,7 +27,7 @@ from league.matchmaking.pairing.schedule import (
     rated_state,
     validation_heats,
 )
-from league.matchmaking.ratings import Carried, Ratings
+from league.matchmaking.ratings import Carried, RatingData, Ratings
 from league.matchmaking.scope import scope
 from league.matchmaking.store import (
     RATED,
@@ -143,17 +143,15 @@ class _Past:
 
     def meetings(self, number_of: dict[str, int]) -> Meetings:
         """Return the heats in which each pair met or is to meet, by entry numbers."""
-        grids = self.races.entries[self.races.half == 0]
-        met = Counter[tuple[int, int]]()
+        first = RatingData.of(standings.results_of(self.races.where(self.races.half == 0)))
+        one, other = (
+            first.entries[some].tolist() for some in (first.counts.one, first.counts.other)
+        )
+        heats = first.counts.by_pair(first.counts.meetings).astype(int).tolist()
+        met = Counter(dict(zip(zip(one, other, strict=True), heats, strict=True)))
         for record in self.queued:
             if record.heat.purpose == "rated":
-                numbers = sorted(number_of[id] for id in record.heat.entries)
-                met.update(combinations(numbers, 2))
-        for one, other in combinations(range(grids.shape[1]), 2):
-            both = grids[(grids[:, one] >= 0) & (grids[:, other] >= 0)][:, [one, other]]
-            pairs, counts = np.unique(np.sort(both, axis=1), axis=0, return_counts=True)
-            for (a, b), count in zip(pairs.tolist(), counts.tolist(), strict=True):
-                met[a, b] += count
+                met.update(combinations(sorted(number_of[id] for id in record.heat.entries), 2))
         return met
 
 

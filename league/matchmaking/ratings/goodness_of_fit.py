@@ -38,13 +38,7 @@ class Goodness:
 
 
 def goodness_of_fit(data: RatingData, ratings: Ratings, *, level: float = 0.01) -> Goodness:
-    """Test whether the head-to-head records agree with the ratings.
-
-    Args:
-        data: the races that the ratings were made of.
-        ratings: what is tested.
-        level: false alarms allowed.
-    """
+    """Test whether ratings agree with their races; `level` is the share of false alarms allowed."""
     counts = data.counts
     chance = expit(counts.leads(ratings.elo / ELO, ratings.slot_advantages / ELO))
     room = chance * (1.0 - chance)

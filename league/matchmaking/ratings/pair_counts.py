@@ -159,12 +159,7 @@ class RatingData:
 
     @classmethod
     def of(cls, results: Results, extra: Iterable[int] = ()) -> RatingData:
-        """Count the races of a field.
-
-        Args:
-            results: the races, in any order.
-            extra: entry numbers that belong to the field even if they have not raced yet.
-        """
+        """Count the races of a field, to which the entries `extra` belong even without a race."""
         results = results.by_heat()
         extras = np.fromiter(extra, dtype=np.int64)
         top = int(max(results.entries.max(initial=EMPTY), extras.max(initial=EMPTY))) + 1

@@ -86,14 +86,9 @@ class Comparison:
 
 
 def compare(scores: np.ndarray, settings: SequentialSettings | None = None) -> Comparison:
-    """Judge B's scores against A, one a heat, in the order the heats were planned.
+    """Judge B's mean scores against A in heats, in [0, 1], (heats,), in the order of their plan.
 
-    Args:
-        scores: mean score of B in each heat, in [0, 1], (heats,).
-        settings: what is asked.
-
-    Raises:
-        ConfigError: a score that no heat of two races can have.
+    A score that no heat of two races can have is a ConfigError.
     """
     settings = settings or SequentialSettings()
     counts = (np.abs(scores - OUTCOMES[:, None]) < 1e-6).sum(axis=1).astype(float)

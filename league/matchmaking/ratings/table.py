@@ -132,11 +132,7 @@ class Ratings(Strengths):
     """Variances [Elo^2] of rating differences, from two arrays of indices into `entries`."""
 
     def index(self, entry: int) -> int:
-        """Return where an entry stands in the tables.
-
-        Raises:
-            ConfigError: it is not in the field.
-        """
+        """Return where an entry stands in the tables; a ConfigError if it is not in the field."""
         place = int(np.searchsorted(self.entries, entry))
         if place >= len(self.entries) or self.entries[place] != entry:
             raise ConfigError(
