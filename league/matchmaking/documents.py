@@ -12,7 +12,7 @@ from league.matchmaking.standings import Standings
 from league.matchmaking.store import HeatRecord, LeagueEntry
 
 FIT_FIELDS = ("chi_square", "freedom", "p_value", "rejected")
-"""What is told of the test of fit."""
+"""Numbers of the test of fit."""
 
 
 def plain(value: object) -> Any:  # noqa: ANN401

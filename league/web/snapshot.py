@@ -62,8 +62,7 @@ class Snapshot:
             getattr(self, name)
         _ = self.counted.index
         if self.rated:
-            none = np.empty(0, int)
-            self.rated.ratings.gap_variances(none, none)  # what all differences need
+            self.rated.ratings.gap_variance(0, 0)  # the first one prepares all
 
     @cached_property
     def by_number(self) -> dict[int, LeagueEntry]:

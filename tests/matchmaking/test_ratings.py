@@ -448,19 +448,6 @@ def test_a_slot_that_always_wins_is_worth_what_its_prior_allows(slot_sd):
     assert 4 * (1 - 1 / (1 + math.exp(-lead))) == pytest.approx(lead / variance, rel=1e-4)
 
 
-def test_many_differences_are_as_sure_as_each_of_them():
-    generator = np.random.default_rng(3)
-    grids = random_grids(generator, 14, 60, 2)
-    rated = fit(raced(generator, generator.normal(0, 100, 14), grids))
-    one, other = np.triu_indices(14, 1)
-    together = rated.gap_variances(one, other)
-    each = [
-        rated.difference(a, b).sd ** 2
-        for a, b in zip(rated.entries[one], rated.entries[other], strict=True)
-    ]
-    assert len(each) == 91 and together == pytest.approx(each, rel=1e-6)
-
-
 def test_races_in_which_nobody_finished_alike_are_ties():
     rated = fit(results_of([Race(k, (k % 3, (k + 1) % 3), (1, 1)) for k in range(30)]))
     assert rated.elo == pytest.approx(np.full(3, 1000.0), abs=1e-6)

@@ -291,7 +291,7 @@ def _ratings(
         num_races=len(data.results),
         num_spreads=num_spreads,
         posterior=posterior,
-        gap_variances=lambda one, other: ELO**2 * variances.gaps(one, other),
+        gap_variance=lambda one, other: ELO**2 * variances.gap(one, other),
     )
 
 

@@ -323,6 +323,11 @@ class Squares:
             heats=np.bincount(heats.indices, minlength=size),
         )
 
+    @cached_property
+    def scattered(self) -> sparse.csr_array:
+        """J by strength and strength."""
+        return (self.scores.T @ self.scores).tocsr()
+
     def diagonal(self) -> np.ndarray:
         """Return the diagonal by strength, (entries,)."""
         squares = np.bincount(self.scores.indices, self.scores.data**2, len(self.prior))
