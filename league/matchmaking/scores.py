@@ -80,8 +80,8 @@ class PastSeason:
 
 def final_ratings(document: Mapping[str, Any]) -> Strengths:
     """Return the ratings that a season was frozen with, from its document."""
-    slot_advantages = np.array(document["standings"]["slot_advantages"])
-    return Strengths(*frozen_columns(document, "number", "elo"), slot_advantages)
+    entries, elo = frozen_columns(document, "number", "elo")
+    return Strengths(entries, elo, np.array(document["standings"]["slot_advantages"]))
 
 
 def scores_by_season(
