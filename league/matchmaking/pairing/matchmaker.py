@@ -18,15 +18,9 @@ import numpy as np
 
 from league.matchmaking import cups, divisions, safety, standings
 from league.matchmaking.divisions import SeasonSettings
+from league.matchmaking.pairing import schedule
 from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
-from league.matchmaking.pairing.schedule import (
-    Contender,
-    HeatPlan,
-    Meetings,
-    next_heats,
-    rated_state,
-    validation_heats,
-)
+from league.matchmaking.pairing.schedule import Contender, HeatPlan, Meetings
 from league.matchmaking.ratings import Carried, RatingData, Ratings
 from league.matchmaking.scope import scope
 from league.matchmaking.store import (
@@ -228,7 +222,7 @@ class Matchmaker:
             self._move_divisions(within.season, past, roster, number)
         plans: list[HeatPlan] = []
         for newcomer in roster.newcomers:
-            plans += validation_heats(newcomer, roster.contenders, rules, generator)
+            plans += schedule.validation_heats(newcomer, roster.contenders, rules, generator)
         rated = [one for one in roster.contenders if one.state in RATED]
         size = min(max(LEAST_ROUND, len(rated) // 2), ROUND // 2)
         # A new league's first entries need not wait for its anchors to be sure; and a season that
@@ -239,7 +233,7 @@ class Matchmaker:
         id_of = {entry.number: entry.id for entry in entries}
         line_up = _line_up(rules, past, roster, entries)
         meetings = past.meetings({id: number for number, id in id_of.items()})
-        plans += next_heats(
+        plans += schedule.next_heats(
             rated, meetings, rules, generator, heats=size, same_owner=self._same_owner
         )
         return [
@@ -313,7 +307,7 @@ class _Roster:
             line: dict[str, Any] = {}
             if state in RATED and fitted is not None:
                 line = fitted.line(fitted.index(entry.number), "elo", "sd", "races")
-                state = rated_state(line["sd"])
+                state = schedule.rated_state(line["sd"])
             roster.states[entry.number] = (state, reason)
             if state in ("retired", "refused"):
                 continue

@@ -13,7 +13,7 @@ from scipy import sparse
 from scipy.sparse.linalg import aslinearoperator, cg
 from scipy.special import wrightomega
 
-from league.matchmaking.ratings import systems
+from league.matchmaking.ratings import pair_counts, systems
 from league.matchmaking.ratings.pair_counts import (
     ELO,
     EMPTY,
@@ -21,9 +21,6 @@ from league.matchmaking.ratings.pair_counts import (
     RatingData,
     Results,
     Squares,
-    count,
-    groups,
-    slope,
 )
 from league.matchmaking.ratings.systems import Blocks, Sparse, Variances
 from league.matchmaking.ratings.table import SIGMAS_95, Carried, Posterior, Ratings
@@ -136,7 +133,7 @@ class _Model:
         """Climb to the best parameters under a prior, until a step is small enough."""
         prior, at = self.prior(prior_sd), self._last
         self.num_spreads += 1
-        seen = slope(self._counts, at)
+        seen = pair_counts.slope(self._counts, at)
         value = seen.value - 0.5 * float(prior @ (at - self._mean) ** 2)
         far = 1.0
         for _ in range(100):
@@ -154,7 +151,7 @@ class _Model:
             length = min(1.0, 4.0 / far)
             while True:
                 tried = at + length * step
-                seen = slope(self._counts, tried)
+                seen = pair_counts.slope(self._counts, tried)
                 now = seen.value - 0.5 * float(prior @ (tried - self._mean) ** 2)
                 # Rounding hides gains below a billionth; there the full step is right anyway.
                 if now >= value + 1e-4 * length * promised - 1e-9 * abs(value) or length < 1e-6:
@@ -268,7 +265,7 @@ def _ratings(
     if anchor is not None:  # what is published is the lead over the anchor
         elo_sd = ELO * np.sqrt(variances.against(int(np.searchsorted(entries, anchor))))
     pairs, points = data.counts.points()
-    group = groups(data.counts.one, data.counts.other, size)
+    group = pair_counts.groups(data.counts.one, data.counts.other, size)
     if anchor is not None:
         home = group[np.searchsorted(entries, anchor)]
     else:
@@ -318,7 +315,7 @@ def updated(fitted: Ratings, later: Results) -> Ratings | None:
     room = ((0, 0), (0, slots - later.entries.shape[1]))
     entries = np.pad(np.where(raced, place, EMPTY), room, constant_values=EMPTY)
     results = Results(later.heats, entries, np.pad(later.places, room))
-    counts = count(results, len(fitted.entries))
+    counts = pair_counts.count(results, len(fitted.entries))
     parameters, weights = _climbed(fitted, counts)
     return _rated(fitted, results, counts, parameters, weights)
 
@@ -328,7 +325,7 @@ def _climbed(fitted: Ratings, counts: PairCounts) -> tuple[np.ndarray, np.ndarra
     posterior = fitted.posterior
     at, system = posterior.parameters, posterior.system
     for _ in range(MOST_STEPS):
-        seen = slope(counts, at)
+        seen = pair_counts.slope(counts, at)
         later = Sparse(Blocks(counts, seen.weights, np.zeros(counts.size)))
         step, _ = cg(
             aslinearoperator(system) + aslinearoperator(later),
@@ -341,7 +338,7 @@ def _climbed(fitted: Ratings, counts: PairCounts) -> tuple[np.ndarray, np.ndarra
         at = at + min(1.0, 1.0 / max(far, ENOUGH_LATER)) * step
         if far < ENOUGH_LATER:
             break
-    return at, slope(counts, at).weights
+    return at, pair_counts.slope(counts, at).weights
 
 
 def _rated(

@@ -17,15 +17,7 @@ from league.matchmaking.store import entries, results, schema, seasons
 from league.matchmaking.store.database import chunked
 from league.matchmaking.store.queue import heat_in, with_rules
 from league.matchmaking.store.results import PackedResult
-from league.matchmaking.store.schema import (
-    Change,
-    LedgerRecord,
-    heats,
-    ledger,
-    link,
-    races,
-    rulesets,
-)
+from league.matchmaking.store.schema import Change, LedgerRecord, heats, ledger, races, rulesets
 
 BLOCK = 2000
 """Heats, or records of the ledger, checked at a time."""
@@ -126,7 +118,7 @@ def _check_record(found: Integrity, row: sa.Row[Any], now: dict[tuple[str, str],
     known = (row.kind, row.subject)
     if row.kind not in ("settle", "state", "present") and known not in now:
         found.mismatches.append(f"{what}: what it records was deleted")
-    elif link(found.head, LedgerRecord(*known, now.get(known))) != row.chain:
+    elif schema.link(found.head, LedgerRecord(*known, now.get(known))) != row.chain:
         found.mismatches.append(
             f"{what}: what it records was changed, or a record before it inserted or deleted"
         )

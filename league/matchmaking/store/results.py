@@ -13,20 +13,13 @@ import sqlalchemy as sa
 
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
+from league.matchmaking.store import schema
 from league.matchmaking.store.blobs import FolderBlobs, insert_blob
 from league.matchmaking.store.database import asked_for, chunked, made_of
 from league.matchmaking.store.queue import BATCH, check_worker, unknown_heat
 from league.matchmaking.store.race_table import NO_TRACK, driven, packed, runs_of
 from league.matchmaking.store.records import HeatOutcome, RaceOutcome, Received, StoredResult
-from league.matchmaking.store.schema import (
-    Change,
-    LedgerRecord,
-    Transactional,
-    heats,
-    races,
-    results,
-    rulesets,
-)
+from league.matchmaking.store.schema import Change, LedgerRecord, heats, races, results, rulesets
 
 OF_HEATS = (
     sa.select(results)
@@ -36,7 +29,7 @@ OF_HEATS = (
 """Selects the results of some heats; made once, which takes as long as to ask."""
 
 
-class ResultStore(Transactional):
+class ResultStore(schema.Transactional):
     """The part of a Store that is about results."""
 
     def complete(self, worker: str, outcomes: Sequence[HeatOutcome]) -> Received:
