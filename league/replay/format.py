@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from league.atomic_file import replacing
-from league.errors import ReplayError, TrackError, explaining, first_problem
+from league.atomic_file import read_plain, replacing
+from league.errors import ReplayError, TrackError, first_problem
 from league.race_spec import RaceResult, of_older_version
 from league.replay.replay import (
     GRAINS,
@@ -120,18 +120,11 @@ def write(replay: Replay, path: str | os.PathLike[str]) -> Path:
 
 def read(path: str | os.PathLike[str]) -> Replay:
     """Read a replay from a file; anything but a sound replay raises ReplayError."""
-    path = Path(path)
-    remedy = "give the path of a replay"
-    with explaining(f"{path} cannot be read", ReplayError, remedy, ValueError):
-        # Looked at before it is opened: opening a pipe would wait for ever.
-        if path.exists() and not path.is_file():
-            raise ReplayError(f"{path} is not a file: {remedy}")
-        with path.open("rb") as file:
-            content = file.read(MAX_FILE + 1)
+    content = read_plain(path, MAX_FILE, ReplayError, "a replay")
     try:
         return decode(content)
     except ReplayError as error:
-        raise ReplayError(f"{path} {error}") from error
+        raise ReplayError(f"{os.fspath(path)} {error}") from error
 
 
 def decode(content: bytes) -> Replay:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import stat
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,7 +11,7 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from league.atomic_file import replacing
+from league.atomic_file import read_plain, replacing
 from league.errors import TrackError, nearest_names
 from league.track import build
 from league.track.track import Colours, Track
@@ -174,32 +173,12 @@ def report(track: Track) -> dict[str, str | float | int]:
 
 def _read_text(path: str) -> str:
     try:
-        return _read_bytes(path).decode("utf-8")
+        return read_plain(path, MAX_BYTES, TrackError, "a .yaml file").decode("utf-8")
     except UnicodeDecodeError as error:
         raise TrackError(
             f"{path} is not text: byte {error.start} is not UTF-8; a track file is YAML "
             "(for .npy arrays use `league tracks import`)"
         ) from None
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise TrackError(f"cannot read {path}: {reason}; give the path of a .yaml file") from None
-
-
-def _read_bytes(path: str) -> bytes:
-    # Looked at before it is opened: opening a pipe would wait for ever.
-    state = os.stat(path)
-    if stat.S_ISDIR(state.st_mode):
-        raise TrackError(f"{path} is a folder; give the path of a .yaml file in it")
-    if not stat.S_ISREG(state.st_mode):
-        raise TrackError(f"{path} is not a file; give the path of a .yaml file")
-    with open(path, "rb") as file:
-        content = file.read(MAX_BYTES + 1)
-    if len(content) > MAX_BYTES:
-        raise TrackError(
-            f"{path} has {max(state.st_size, len(content)):,} bytes and a track file has at most "
-            f"{MAX_BYTES:,}; thin out its points"
-        )
-    return content
 
 
 def read(text: str, where: str) -> TrackFile:

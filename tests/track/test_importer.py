@@ -250,7 +250,7 @@ def test_ten_gigabytes_are_refused_at_once_declared_or_real(tmp_path):
     begin = time.process_time()
     with pytest.raises(TrackError, match=r"208,333,333 rows.*4 to 2000"):
         importer.read_npy(declared)
-    with pytest.raises(TrackError, match=r"10,737,418,240 bytes.*promises 96,"):
+    with pytest.raises(TrackError, match="larger than 1,000,000 bytes"):
         importer.read_npy(real)
     # Reading 10 GB takes many seconds; this is a bound on work, not on speed.
     assert time.process_time() - begin < 5
