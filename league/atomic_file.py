@@ -42,7 +42,9 @@ def replacing(
             temporary.unlink()
 
 
-def read_plain(path: str | os.PathLike[str], most: int, error: type[LeagueError], what: str) -> bytes:
+def read_plain(
+    path: str | os.PathLike[str], most: int, error: type[LeagueError], what: str
+) -> bytes:
     """Return the bytes of a file, which is `what`, such as "a replay"; of at most `most` bytes."""
     remedy = f"give the path of {what}"
     with explaining(f"{path} cannot be read", error, remedy, ValueError):

@@ -17,7 +17,7 @@ from rerun.chunk import RrdReader
 
 from league import rerun_view
 from league.errors import ReplayError
-from league.rerun_view import meshes, paths, record, scene, viewer
+from league.rerun_view import paths, record, scene, viewer
 from league.sim.camera.scene import CAR
 from league.track import files
 from tests.recorded import by_hand, moved, raced
@@ -99,7 +99,7 @@ def test_names_cannot_break_the_classification():
 
 def test_the_road_is_as_large_as_its_length_times_its_width():
     track = files.load("reinvent_2018")
-    mesh = meshes.floor(track)
+    mesh = scene.floor(track)
     colour = np.array([*track.colours.road, 255])
     road = mesh.triangles[(mesh.colours[mesh.triangles[:, 0]] == colour).all(axis=1)]
     a, b, c = (mesh.vertices[road[:, corner], :2] for corner in range(3))
@@ -110,7 +110,7 @@ def test_the_road_is_as_large_as_its_length_times_its_width():
 
 
 def test_normals_of_a_car_point_outward():
-    mesh = meshes.car_body(CAR, (200, 0, 0))
+    mesh = scene.car_body(CAR, (200, 0, 0))
     top = mesh.vertices[:, 2] > 0.177
     assert mesh.normals[top & (np.abs(mesh.normals[:, 2]) > 0.9), 2].min() > 0.9
     assert np.linalg.norm(mesh.normals, axis=1) == pytest.approx(1.0)

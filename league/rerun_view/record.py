@@ -22,11 +22,10 @@ from league.sim import lidar
 from league.sim.camera.renderer import PaintRenderer
 from league.sim.camera.scene import CAR_COLOURS
 from league.sim.config import LidarConfig
-from league.video.film import Coding, Mp4
+from league.video.film import Mp4
 
 FROZEN_OPACITY = 0.35
 EVENT_LEVELS = {"crash": "ERROR", "off_track": "WARN", "contact": "WARN", "driver_fault": "ERROR"}
-EYE_CODING = Coding(crf=29, preset="ultrafast", keyframe_s=2.0)
 BATCH = 16
 """Frames rendered at a time; few, so that they stay in the cache."""
 LIDAR_BATCH = 1024
@@ -136,7 +135,8 @@ def _film(replay: Replay, slot: int) -> tuple[bytes, bytes]:
     """Return what a car's left and right eye saw, as two MP4 files."""
     renderer = PaintRenderer(replay.tracks, replay.sim, EYE_CAMERA)
     films = (io.BytesIO(), io.BytesIO())
-    left, right = (Mp4(film, replay.step_hz, EYE_CODING) for film in films)
+    size = EYE_CAMERA.width, EYE_CAMERA.height
+    left, right = (Mp4(film, size, replay.step_hz, crf=29, preset="ultrafast") for film in films)
     with left, right:
         for start in range(0, replay.num_frames, BATCH):
             world = replay.at(replay.times_s[start : start + BATCH])

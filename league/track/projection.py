@@ -206,16 +206,3 @@ def pairs_within(radius, points, others):
             if dx * dx + dy * dy <= radius * radius:
                 pairs.append((i, j))
     return np.array(pairs)[1:]
-
-
-@compiled(allocates=True)
-def nearest_rows(line, points):
-    """Return the row of a line nearest to each point, (num_points,)."""
-    rows = np.zeros(len(points), np.int64)
-    for k in range(len(points)):
-        least = np.inf
-        for row in range(len(line)):
-            dx, dy = line[row, 0] - points[k, 0], line[row, 1] - points[k, 1]
-            if dx * dx + dy * dy < least:
-                rows[k], least = row, dx * dx + dy * dy
-    return rows

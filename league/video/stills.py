@@ -7,7 +7,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from league.errors import ConfigError, ReplayError
+from league.errors import ReplayError
 from league.replay import Replay
 from league.sim.camera.ground import floor_of
 from league.sim.camera.renderer import Painter, PaintRenderer
@@ -36,7 +36,6 @@ STRIP_QUALITY = 80
 
 _FINER = 2  # drawn this much larger, then averaged: smooth edges
 _BACKDROP = (24, 29, 36)
-_SMOOTHED = 2_000_000  # pixels of the largest picture for which that is done
 _SMALLEST_CAR = 16  # pixels from nose to tail in the view from above
 _DARK = (16, 18, 22)
 _LEFT_SIDE = np.array([(0.162, 0.045), (0.128, 0.094), (-0.140, 0.098), (-0.162, 0.080)])
@@ -52,7 +51,6 @@ def chase_view(
 
     RGB uint8, (height, width, 3).
     """
-    _check_size(width, height)
     state = SceneState(sim, world.row(row))
     track = tracks.tracks[state.track[0]]
     focal = width * _FINER / 2 / math.tan(CHASE_FIELD_OF_VIEW / 2)
@@ -70,13 +68,11 @@ def top_view(
     tracks: TrackSet, sim: SimConfig, world: World, row: int, width: int, height: int
 ) -> np.ndarray:
     """Return the whole room of a world from above, +y up, RGB uint8, (height, width, 3)."""
-    _check_size(width, height)
     state = SceneState(sim, world.row(row))
-    finer = _FINER if width * height <= _SMOOTHED else 1
-    plan = _room(tracks.tracks[state.track[0]], width * finer, height * finer)
+    plan = _room(tracks.tracks[state.track[0]], width * _FINER, height * _FINER)
     plan = replace(plan, picture=plan.picture.copy())
-    size = max(1.0, _SMALLEST_CAR * finer * plan.pixel / (2 * CAR.half_length))
-    draw_things(plan, state, size=size, line=finer, numbers=True)
+    size = max(1.0, _SMALLEST_CAR * _FINER * plan.pixel / (2 * CAR.half_length))
+    draw_things(plan, state, size=size, line=_FINER, numbers=True)
     return cv2.resize(plan.picture, (width, height), interpolation=cv2.INTER_AREA)
 
 
@@ -136,14 +132,6 @@ def _room(track: Track, width: int, height: int) -> Plan:
     red, green, blue, *_ = lit(track.colours.wall, gray=False)
     plan.edge(wall, (red, green, blue), 2)
     return plan
-
-
-def _check_size(width: int, height: int) -> None:
-    if not (16 <= width <= 3840 and 16 <= height <= 2160):
-        raise ConfigError(
-            f"a picture of {width}x{height} pixels is out of range: give 16 to 3840 across and 16 "
-            "to 2160 down"
-        )
 
 
 def _behind(x: float, y: float, yaw: float, room: tuple[float, float, float, float]) -> Pose:
