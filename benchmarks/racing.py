@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.lap_bound import lap_bound
 from benchmarks.report import figure, heading, note, table
 from league.agents import roster
-from league.agents.driver import Driver
+from league.envs.driver import Driver
 from league.racing import duels
 from league.racing.duels import RESOLUTION, DuelConfig, Threshold
 from league.racing.evaluate import evaluate

@@ -198,12 +198,25 @@ def test_without_a_display_no_window_is_tried(monkeypatch, tmp_path):
 # Live.
 
 
+class Window:
+    """A viewer's window whose recording is a file."""
+
+    has_window, address = True, ""
+
+    def __init__(self, recording: rr.RecordingStream) -> None:
+        self.recording = recording
+
+    def close(self) -> None:
+        self.recording.flush()
+        self.recording.disconnect()
+
+
 def test_a_live_race_sends_each_step_and_touches_nothing(tmp_path):
     behind = (-1.0, -1.0, -1.0, -1.0, 9.0, 9.0)  # it passes in the fifth step
     made = by_hand(6, lambda w, n: moved(w, x=[3.0 + 0.1 * n, 2.0], distance=[0.0, behind[n]]))
     recording = rr.RecordingStream("test")
     recording.save(tmp_path / "live.rrd")
-    live = rerun_view.Live(made.spec, made.track, recording)
+    live = rerun_view.Live(made.spec, made.track, Window(recording))
     worlds = made.worlds()
     for number in range(6):
         live.add(worlds.row(number))

@@ -228,8 +228,7 @@ def _plain(values: ndarray) -> list[Any]:
     return values.tolist()
 
 
-EPISODES = 20
-"""Episodes of a file of training. Log tools count on the same number in each."""
+EPISODES = 20  # of a file of training: log tools count on the same number in each
 TRAINING = "training-simtrace"
 
 
@@ -272,8 +271,7 @@ class TrainingTrace:
     def __init__(self, reward: Reward, folder: Path, space: ActionSpace, sim: SimConfig) -> None:
         """Prepare; nothing is written before `flush`, or the end of the twentieth episode."""
         self._reward, self._folder, self._sim = reward, folder / TRAINING, sim
-        self.terms = reward.terms
-        """Names under which the other reward logs."""
+        self.terms = reward.terms  # names under which the other reward logs
         self._step_rows = StepRows(space)
         self._running: list[list[dict[str, Any]]] = []
         self._ended: list[list[dict[str, Any]]] = []

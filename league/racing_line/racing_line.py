@@ -19,30 +19,23 @@ from league.sim.config import CarConfig
 from league.track.projection import frame_at
 from league.track.track import Track, TrackSet
 
-STEP = 0.03
-"""Wished distance between two rows of a finished line [m]."""
+STEP = 0.03  # wished distance between two rows of a finished line [m]
 
 
 @dataclass(frozen=True, eq=False)
 class RacingLine:
     """A line round a track with a speed at every point; all arrays float64, shape (N,)."""
 
+    # distance along the CENTRELINE [m], uniform from 0; a closed line does not repeat row 0
     s: np.ndarray
-    """Distance along the CENTRELINE [m], uniform from 0; a closed line does not repeat row 0."""
-    lateral: np.ndarray
-    """Place of the car's base to the left of the centreline [m]."""
-    heading: np.ndarray
-    """Direction of the line minus the heading of the track's frame there [rad]."""
-    curvature: np.ndarray
-    """Signed curvature of the line [1/m], positive to the left."""
-    speed: np.ndarray
-    """Speed along the line [m/s]."""
-    stretch: np.ndarray
-    """Metres of line for each metre of centreline."""
+    lateral: np.ndarray  # place of the car's base to the left of the centreline [m]
+    heading: np.ndarray  # direction of the line minus the heading of the track's frame there [rad]
+    curvature: np.ndarray  # signed curvature of the line [1/m], positive to the left
+    speed: np.ndarray  # speed along the line [m/s]
+    stretch: np.ndarray  # metres of line for each metre of centreline
+    # time of a flying lap [s]; on an open track, from end to end with a flying start
     lap_time: float
-    """Time of a flying lap [s]; on an open track, from end to end with a flying start."""
-    closed: bool
-    """Whether the line is a loop."""
+    closed: bool  # whether the line is a loop
 
 
 def optimal_line(

@@ -21,8 +21,7 @@ FOLD = 0.8
 """Largest curvature times lateral offset: beyond, lines across a bend would run backwards."""
 SMOOTH = 0.4
 """Width of the average that takes kinks out of the centreline before lines are sought [m]."""
-_SAMPLES = 26
-"""Centre points on either side that the average takes."""
+_SAMPLES = 26  # centre points on either side that the average takes
 
 ROAD = np.dtype(
     [
@@ -41,20 +40,16 @@ ROAD = np.dtype(
 BEND, SIZE, PLACE = 0, 1, 2
 """What `measure` finds: curvature [1/m], metres for each step between points, lateral place [m]."""
 
-ROUNDS = 120
-"""Most steps of Newton's method."""
+ROUNDS = 120  # most steps of Newton's method
 _FIRST_BARRIER, _LAST_BARRIER, _LESS = 1e-2, 1e-6, 0.7
-_NEAREST = 0.05
-"""Part of its distance to a bound that a step must leave for every rule."""
+_NEAREST = 0.05  # part of its distance to a bound that a step must leave for every rule
 _RISE, _BENT, _TURN, _ASIDE, _ENERGY, _DRIVE, _BRAKE, _RULES = 0, 1, 2, 3, 4, 5, 6, 7
 """Rules at a point, each on a value between two bounds: a, k, its change to the next point, the
 lateral place, e, and squared grip used with drive (with y here) and with braking (y there)."""
 _CORNERING, _NEXT, _GAP, _ROWS = 7, 8, 9, 10
 """Values without a rule, with derivatives that are needed: y here and at the next point, and d."""
-_COLUMNS = 6
-"""Offsets of the points -1, 0, 1, 2 and squared speeds of the points 0, 1."""
-_BAND = 14
-"""Columns of the banded matrix: the diagonal and what is left of it."""
+_COLUMNS = 6  # offsets of the points -1, 0, 1, 2 and squared speeds of the points 0, 1
+_BAND = 14  # columns of the banded matrix: the diagonal and what is left of it
 
 
 @compiled(allocates=True)

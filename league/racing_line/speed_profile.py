@@ -20,18 +20,13 @@ from league.sim.settings import GRAVITY
 class CarLimits(NamedTuple):
     """What the car's tyres, drive and steering allow."""
 
-    lateral: float
-    """Largest lateral acceleration [m/s^2]."""
-    acceleration: float
-    """Largest acceleration [m/s^2]."""
-    braking: float
-    """Largest deceleration [m/s^2]."""
-    speed: float
-    """Largest speed [m/s]."""
-    curvature: float
-    """Largest curvature the steering can follow [1/m]."""
+    lateral: float  # largest lateral acceleration [m/s^2]
+    acceleration: float  # largest acceleration [m/s^2]
+    braking: float  # largest deceleration [m/s^2]
+    speed: float  # largest speed [m/s]
+    curvature: float  # largest curvature the steering can follow [1/m]
+    # share of an axle's load lost for each m/s^2 of drive or braking [s^2/m]; 0: none is
     transfer: float
-    """Share of an axle's load lost for each m/s^2 of drive or braking [s^2/m]; 0: none is."""
 
     @classmethod
     def of(cls, car: CarConfig, share: float = 1.0, *, load_transfer: bool = True) -> CarLimits:

@@ -18,20 +18,14 @@ Cars = Mapping[str, np.ndarray] | np.ndarray
 _MOTION = ("x", "y", "velocity_x", "velocity_y", "distance")
 FIELDS = (*_MOTION, "laps", "ghost")
 
-ATTACK = 0.7
-"""An attacker is at most this far behind along the track, between the bases [m]."""
-APART = 1.5
-"""From here on a fight is over [m]."""
+ATTACK = 0.7  # an attacker is at most this far behind along the track, between the bases [m]
+APART = 1.5  # from here on a fight is over [m]
 LEVEL = 0.75 * CarConfig().length
 """Two cars closer than this overlap by a quarter of their length: side by side [m]."""
-CLOSING = 0.1
-"""An attacker comes closer at least this fast [m/s]."""
-QUIET_S = 5.0
-"""The same pair is not mentioned as attacking or level again for so long [s]."""
-AFTER_START_S = 1.5
-"""On the grid all cars are close to each other [s]."""
-BACK_S = 10.0
-"""A pass so soon after being passed takes the place back [s]."""
+CLOSING = 0.1  # an attacker comes closer at least this fast [m/s]
+QUIET_S = 5.0  # the same pair is not mentioned as attacking or level again for so long [s]
+AFTER_START_S = 1.5  # on the grid all cars are close to each other [s]
+BACK_S = 10.0  # a pass so soon after being passed takes the place back [s]
 
 _WEIGHT = {
     "winner": 0, "closest_fight": 0, "overtake": 1, "forced_off": 1, "crash": 2, "lead_change": 2,
@@ -45,16 +39,11 @@ _WEIGHT = {
 class Remark:
     """One sentence of the story."""
 
-    time_s: float
-    """Race time [s]."""
-    kind: str
-    """An event's kind, or attack, side_by_side, defended, gap, winner, closest_fight."""
-    car: int
-    """Grid slot of the car it is about."""
-    lap: int
-    """Lap that this car was on, from 1."""
-    text: str
-    """The sentence, without lap and time."""
+    time_s: float  # race time [s]
+    kind: str  # an event's kind, or attack, side_by_side, defended, gap, winner, closest_fight
+    car: int  # grid slot of the car it is about
+    lap: int  # lap that this car was on, from 1
+    text: str  # the sentence, without lap and time
 
     @property
     def stamped(self) -> str:
@@ -66,14 +55,11 @@ class Remark:
 class _Fight:
     """What two cars have between them."""
 
-    near_s: float = 0.0
-    """How long they have been close, in the whole race [s]."""
-    attacker: int | None = None
-    """Who attacks and has neither passed nor fallen back."""
+    near_s: float = 0.0  # how long they have been close, in the whole race [s]
+    attacker: int | None = None  # who attacks and has neither passed nor fallen back
+    # when each kind of line was last said [s]
     said_s: dict[str, float] = field(default_factory=dict)
-    """When each kind of line was last said [s]."""
-    passed: tuple[int, float] | None = None
-    """Who passed last, and when [s]."""
+    passed: tuple[int, float] | None = None  # who passed last, and when [s]
 
 
 class Commentator:

@@ -9,28 +9,20 @@ import numpy as np
 from league.replay.commentary import APART, ATTACK, LEVEL, Cars, gap_s, gaps_m
 from league.replay.replay import Replay
 
-PACK = 3.0
-"""Two cars this close along the track [m] are in one picture."""
-SHORTEST_S = 2.5
-"""No shot is shorter [s]."""
-HOLD_S = 1.5
-"""A fight that is decided is still shown for so long [s]."""
-CLOSER = 0.5
-"""Another fight is worth a cut if its gap is at most this share of the present one's."""
-SMOOTHING_S = 0.45
-"""How slowly the chase camera turns; it moves three times as fast [s]."""
+PACK = 3.0  # two cars this close along the track [m] are in one picture
+SHORTEST_S = 2.5  # no shot is shorter [s]
+HOLD_S = 1.5  # a fight that is decided is still shown for so long [s]
+CLOSER = 0.5  # another fight is worth a cut if its gap is at most this share of the present one's
+SMOOTHING_S = 0.45  # how slowly the chase camera turns; it moves three times as fast [s]
 
 
 @dataclass(frozen=True)
 class Shot:
     """What a camera shows."""
 
-    front: int
-    """The car in front of a fight, or a car alone."""
-    rear: int
-    """The car behind, from behind which both are seen; `front` if it is alone."""
-    since_s: float
-    """When the shot began [s]."""
+    front: int  # the car in front of a fight, or a car alone
+    rear: int  # the car behind, from behind which both are seen; `front` if it is alone
+    since_s: float  # when the shot began [s]
 
     def sentence(self, names: tuple[str, ...], cars: Cars) -> str:
         """Return who attacks and the gap in seconds; empty where no car is near."""
@@ -48,8 +40,7 @@ class Director:
     """Chooses what to show step by step; the same for a film and a live view."""
 
     def __init__(self) -> None:
-        self.shot: Shot | None = None
-        """What is shown; None before the first step."""
+        self.shot: Shot | None = None  # what is shown; None before the first step
         self._open_s = 0.0  # when the fight of this shot was last undecided
 
     def add(self, time_s: float, cars: Cars) -> Shot:
@@ -97,16 +88,11 @@ def _best(gaps: dict[tuple[int, int], float], cars: Cars, time_s: float) -> Shot
 class ChasePath:
     """Where a chase camera's frame stands in each frame of a replay, (num_frames,)."""
 
-    x: np.ndarray
-    """[m]."""
-    y: np.ndarray
-    """[m]."""
-    yaw: np.ndarray
-    """Unwrapped within a take [rad]."""
-    take: np.ndarray
-    """Number of the take: between two of them the picture cuts, int64."""
-    fights: tuple[str, ...]
-    """Who attacks, which car and the gap; empty where there is no fight."""
+    x: np.ndarray  # [m]
+    y: np.ndarray  # [m]
+    yaw: np.ndarray  # unwrapped within a take [rad]
+    take: np.ndarray  # number of the take: between two of them the picture cuts, int64
+    fights: tuple[str, ...]  # who attacks, which car and the gap; empty where there is no fight
 
     def at(self, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return x, y and yaw between frames; no camera travels from one take to the next."""

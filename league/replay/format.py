@@ -34,14 +34,10 @@ VERSION = 2
 PREFIX = struct.Struct("<8sHHIII")
 """Magic, version, zero, bytes of header, bytes of body, CRC-32 of header and body."""
 
-MAX_FILE = 64 * 2**20
-"""Largest file read [bytes]; the longest race allowed takes about 50 MB."""
-MAX_HEADER = 16 * 2**20
-"""Largest header, unpacked [bytes]."""
-MAX_BODY = 256 * 2**20
-"""Largest body, unpacked [bytes]; 8 cars for 10 hours take 207 MB."""
-MAX_FRAMES = 36_000 * 15 + 1
-"""Most frames: the longest race a spec may ask for, at 15 Hz."""
+MAX_FILE = 64 * 2**20  # largest file read [bytes]; the longest race allowed takes about 50 MB
+MAX_HEADER = 16 * 2**20  # largest header, unpacked [bytes]
+MAX_BODY = 256 * 2**20  # largest body, unpacked [bytes]; 8 cars for 10 hours take 207 MB
+MAX_FRAMES = 36_000 * 15 + 1  # most frames: the longest race a spec may ask for, at 15 Hz
 MIN_BYTES_PER_FRAME = 3
 """Every frame carries a checksum, which does not compress, so a smaller body is a bomb."""
 
@@ -88,8 +84,8 @@ def encode(replay: Replay) -> bytes:
     """Return the bytes of a replay's file."""
     columns = replay.columns
     header = _Header(
-        frames=columns.num_frames,
-        cars=columns.num_cars,
+        frames=replay.num_frames,
+        cars=replay.num_cars,
         obstacles=columns.num_obstacles,
         obstacle_frames=len(columns.obstacle_x),
         step_hz=replay.step_hz,
@@ -167,9 +163,7 @@ def _split(content: bytes) -> tuple[int, bytes, bytes]:
         )
     if not content:
         raise ReplayError("is empty: copy the whole file again")
-    if not content.startswith(MAGIC):
-        if len(content) < len(MAGIC) and MAGIC.startswith(content):
-            raise ReplayError("ends after a few bytes: copy the whole file again")
+    if not MAGIC.startswith(content[: len(MAGIC)]):
         raise ReplayError("is not a replay: give a file that `league race` wrote")
     if len(content) < PREFIX.size:
         raise ReplayError("ends after a few bytes: copy the whole file again")

@@ -31,17 +31,13 @@ TURN_STEP = 2 * np.pi / 65536
 class Grain:
     """How one column is rounded to whole numbers and differenced."""
 
-    axis: Axis
-    """A row has one number for each of these."""
-    step: float
-    """One whole number's worth, in the column's unit."""
+    axis: Axis  # a row has one number for each of these
+    step: float  # one whole number's worth, in the column's unit
+    # how often differences along the frames are taken: 1 keeps changes, 2 changes of changes;
+    # chosen on recorded races, whichever was smallest
     order: int
-    """How often differences along the frames are taken: 1 keeps changes, 2 changes of changes.
-    Chosen on recorded races, whichever was smallest."""
-    wraps: bool = False
-    """Whether the numbers are angles, kept in 16 bits that wrap with the turn."""
-    since: int = 1
-    """First version of the file format with it; zero in older replays."""
+    wraps: bool = False  # whether the numbers are angles, kept in 16 bits that wrap with the turn
+    since: int = 1  # first version of the file format with it; zero in older replays
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,16 +84,6 @@ class Columns:
     """CRC-32 of the exact bits of each step before rounding, uint32, (num_frames,)."""
 
     @property
-    def num_frames(self) -> int:
-        """Steps kept, the start included."""
-        return len(self.checksum)
-
-    @property
-    def num_cars(self) -> int:
-        """Cars in the race."""
-        return self.x.shape[1]
-
-    @property
     def num_obstacles(self) -> int:
         """Obstacles in the race."""
         return self.obstacle_x.shape[1]
@@ -142,24 +128,17 @@ def _wrapped(whole: np.ndarray) -> np.ndarray:
 class Replay:
     """One race: its spec, its result, and where everything was at each step."""
 
-    result: RaceResult
-    """The classification, with the spec and all events."""
+    result: RaceResult  # the classification, with the spec and all events
     track: Track
-    """The track."""
-    names: tuple[str, ...]
-    """Of the drivers, by grid slot."""
-    step_hz: int
-    """Control steps per second."""
-    parameters: np.ndarray
-    """Each car's parameters, (num_cars, 6) float32, in the order of `PARAMETERS`."""
+    names: tuple[str, ...]  # of the drivers, by grid slot
+    step_hz: int  # control steps per second
+    parameters: np.ndarray  # each car's, (num_cars, 6) float32, in the order of `PARAMETERS`
+    # half length and half width of each obstacle [m], (num_obstacles, 2) float32
     obstacle_sizes: np.ndarray
-    """Half length and half width of each obstacle [m], (num_obstacles, 2) float32."""
-    columns: Columns
-    """All steps."""
-    league_version: str = ""
-    """Version of the league that drove the race; empty in the oldest replays."""
+    columns: Columns  # all steps
+    league_version: str = ""  # of the league that drove the race; empty in the oldest replays
+    # of the physics that drove it (league/sim/__init__.py); empty before version 4
     physics: str = ""
-    """Version of the physics that drove it (league/sim/__init__.py); empty before version 4."""
 
     @property
     def spec(self) -> RaceSpec:
@@ -169,12 +148,12 @@ class Replay:
     @property
     def num_frames(self) -> int:
         """Steps kept, the start included."""
-        return self.columns.num_frames
+        return len(self.columns.checksum)
 
     @property
     def num_cars(self) -> int:
         """Cars in the race."""
-        return self.columns.num_cars
+        return len(self.names)
 
     @property
     def duration_s(self) -> float:
@@ -263,7 +242,7 @@ def _worlds(replay: Replay, low: np.ndarray, part: np.ndarray) -> World:
     worlds = np.zeros(number, records.WORLD)
     worlds["seed"], worlds["step"] = replay.spec.seed, low
     worlds["leader"] = replay.leader[low]
-    cars = np.zeros((number, columns.num_cars), records.CAR)
+    cars = np.zeros((number, replay.num_cars), records.CAR)
     for name in ("x", "y", "velocity_x", "velocity_y", "yaw_rate", "steering", "z"):
         column = getattr(columns, name)
         cars[name] = column[low] + (column[high] - column[low]) * share
@@ -280,7 +259,7 @@ def _worlds(replay: Replay, low: np.ndarray, part: np.ndarray) -> World:
     cars["ghost"] = columns.ghost[low] > 0.5
     cars["best_lap_s"] = cars["finish_s"] = np.inf
     ahead = cars["distance"][:, :, None] > cars["distance"][:, None, :]
-    cars["ahead"] = (ahead << np.arange(columns.num_cars)).sum(axis=2)
+    cars["ahead"] = (ahead << np.arange(replay.num_cars)).sum(axis=2)
     return World(worlds, cars, _obstacles(replay, low, high, part))
 
 
@@ -304,12 +283,9 @@ def _obstacles(replay: Replay, low: np.ndarray, high: np.ndarray, part: np.ndarr
 class Agreement:
     """Whether two recordings of a race are the same, to the last bit."""
 
-    steps: int
-    """Frames compared, the start included."""
-    first_difference: int | None
-    """The first step that differs, or None; a missing step differs."""
-    same_result: bool
-    """Whether spec, classification and events are equal."""
+    steps: int  # frames compared, the start included
+    first_difference: int | None  # the first step that differs, or None; a missing step differs
+    same_result: bool  # whether spec, classification and events are equal
 
     @property
     def agrees(self) -> bool:
@@ -355,15 +331,13 @@ def seconds_behind(distance: np.ndarray, times_s: np.ndarray) -> np.ndarray:
     return np.maximum(times_s[:, None] - first, 0.0) * (distance < lead[:, None])
 
 
-_FOR_GOOD_S = 1e5
-"""Penalty in a replay of a car that is out of the race: longer than any race [s]."""
+_FOR_GOOD_S = 1e5  # penalty in a replay of a car that is out of the race: longer than any race [s]
 _KEPT = (
     *("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "steering"),
     *("penalty_s", "distance", "laps", "ghost", "z", "roll", "pitch"),
 )
 """Fields of a car that a replay keeps."""
-_CHECKED = (*_KEPT, "retired")
-"""Fields of a car that a frame's checksum covers."""
+_CHECKED = (*_KEPT, "retired")  # fields of a car that a frame's checksum covers
 
 
 class Recorder:

@@ -8,14 +8,11 @@ import rerun.blueprint as rrb
 
 from league.rerun_view import paths
 
-TRAIL_S = 2.5
-"""How much of its path each car trails [s]."""
+TRAIL_S = 2.5  # how much of its path each car trails [s]
 Play = Literal["playing", "following"]
 BACKGROUND = (18, 22, 28)
-CHASE_EYE = (-1.55, 0.0, 0.78)
-"""Where the chase camera sits in the chase frame [m]."""
-CHASE_TARGET = (1.35, 0.0, 0.05)
-"""What it looks at, in the chase frame [m]."""
+CHASE_EYE = (-1.55, 0.0, 0.78)  # where the chase camera sits in the chase frame [m]
+CHASE_TARGET = (1.35, 0.0, 0.05)  # what it looks at, in the chase frame [m]
 
 
 def broadcast(

@@ -20,14 +20,10 @@ from league.sim.config import SimConfig
 from league.sim.records import World
 from league.track.track import Track
 
-CHASE_SHARE = 0.18
-"""How much of the way to its subject the live chase camera goes in one step."""
-BATCH_S = 1.0
-"""Seconds between two batches sent."""
-AHEAD_S = 2.0
-"""How far the driving shown may run ahead of the clock before steps are skipped [s]."""
-MOST_CARS = 6
-"""Cars shown at most."""
+CHASE_SHARE = 0.18  # how much of the way to its subject the live chase camera goes in one step
+BATCH_S = 1.0  # seconds between two batches sent
+AHEAD_S = 2.0  # how far the driving shown may run ahead of the clock before steps are skipped [s]
+MOST_CARS = 6  # cars shown at most
 CHARTS = {
     paths.PLOT_REWARD: ("reward", (47, 158, 99)),
     paths.PLOT_TRAINING: ("training", (80, 150, 240)),
@@ -38,13 +34,12 @@ CHARTS = {
 class Live:
     """Streams one race; `add` is called with the world after each step and never changes it."""
 
-    def __init__(
-        self, spec: RaceSpec, track: Track, recording: rr.RecordingStream, *, speed: float = 0.0
-    ) -> None:
-        """Send what never changes; `start` also opens a viewer.
+    def __init__(self, spec: RaceSpec, track: Track, stream: Stream, *, speed: float = 0.0) -> None:
+        """Send what never changes to a viewer; `start` also opens one.
 
         The race runs at `speed` seconds per second at most; 0: as fast as it can.
         """
+        self._stream, self.address = stream, stream.address  # where it can be watched
         self._names = tuple(entry.name for entry in spec.entries)
         self._bots = spec.obstacle_kind == "bot"
         self._speed, self._step_hz = speed, SimConfig().step_hz
@@ -52,10 +47,7 @@ class Live:
         self._chase: np.ndarray | None = None
         self._commentator = Commentator(spec, self._names, closed=track.closed)
         self._director, self._events = Director(), list[Event]()
-        self._stream: Stream | None = None
-        self.address = ""
-        """Where it can be watched."""
-        self._writer = SceneWriter(recording, track, self._names, self._step_hz)
+        self._writer = SceneWriter(stream.recording, track, self._names, self._step_hz)
         kind, laps = spec.kind.replace("_", " "), times.laps(spec.laps)
         self._title = f"# {track.title}\n\n**{kind}**, {laps}, live"
         self._shown = ""
@@ -71,14 +63,7 @@ class Live:
         drivers = tuple(entry.name for entry in spec.entries)
         layout = blueprint.broadcast(len(drivers), drivers, track.room, cameras=False, live=True)
         # A race ends, so the viewer may keep all of it.
-        stream = Stream(layout, window=window, memory=None)
-        try:
-            live = cls(spec, track, stream.recording, speed=speed)
-        except BaseException:
-            stream.close(leave_window=False)
-            raise
-        live._stream, live.address = stream, stream.address
-        return live
+        return cls(spec, track, Stream(layout, window=window, memory=None), speed=speed)
 
     def add(self, world: World) -> None:
         """Send the world after one step, and wait while the race is ahead of the clock."""
@@ -131,22 +116,17 @@ class Live:
     @property
     def how_to_end(self) -> str:
         """What a user does when the race is over."""
-        if self._stream is None or self._stream.has_window:
+        if self._stream.has_window:
             return "The window stays open until you close it."
         return "The page stays as it is until you press Ctrl-C."
 
     def wait(self) -> None:
         """Wait for Ctrl-C, where a web page is served."""
-        if self._stream is not None:
-            self._stream.wait()
+        self._stream.wait()
 
     def close(self) -> None:
         """Send what is left and stop serving; a window stays open."""
-        if self._stream is not None:
-            self._stream.close()
-        else:
-            self._writer.recording.flush()
-            self._writer.recording.disconnect()
+        self._stream.close()
 
     def __enter__(self) -> Live:
         return self
@@ -159,10 +139,8 @@ class Live:
 class ShownCars:
     """Some cars of some worlds, all on one track."""
 
-    worlds: tuple[int, ...]
-    """Rows of the batch."""
-    cars: tuple[int, ...]
-    """Cars of each of them."""
+    worlds: tuple[int, ...]  # rows of the batch
+    cars: tuple[int, ...]  # cars of each of them
 
     @classmethod
     def of(cls, world: World) -> ShownCars:

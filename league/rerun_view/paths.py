@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 APPLICATION = "racing-league"
-TIMELINE = "race_time"
-"""The only timeline, a duration from the start of the race."""
+TIMELINE = "race_time"  # the only timeline, a duration from the start of the race
 
-WORLD = "world"
-"""World frame, z up [m]."""
+WORLD = "world"  # world frame, z up [m]
 FLOOR = "world/track/floor"
 WALLS = "world/track/walls"
 OBSTACLES = "world/obstacles"
-CHASE = "world/chase"
-"""A frame that follows the front of the race; the main view looks from it."""
+CHASE = "world/chase"  # a frame that follows the front of the race; the main view looks from it
 
 TITLE = "race/classification"
 EVENTS = "race/events"

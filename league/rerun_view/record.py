@@ -26,11 +26,9 @@ from league.video.film import Mp4
 
 FROZEN_OPACITY = 0.35
 EVENT_LEVELS = {"crash": "ERROR", "off_track": "WARN", "contact": "WARN", "driver_fault": "ERROR"}
-BATCH = 16
-"""Frames rendered at a time; few, so that they stay in the cache."""
+BATCH = 16  # frames rendered at a time; few, so that they stay in the cache
 LIDAR_BATCH = 1024
-LIDAR_EVERY = 2
-"""One scan for so many frames (7.5 Hz of 15; the sensor's own clock is 10 Hz)."""
+LIDAR_EVERY = 2  # one scan for so many frames (7.5 Hz of 15; the sensor's own clock is 10 Hz)
 
 
 def save(replay: Replay, path: str | os.PathLike[str], *, cameras: bool = True) -> Path:

@@ -38,10 +38,8 @@ from league.track.track import Rgb, Track
 NEUTRAL = (225, 230, 235)
 WALL_OPACITY = 0.3
 SHADOW_OPACITY = 0.45
-TRAIL_LIFT = np.array([0.0, 0.0, 0.016])
-"""How high a trail lies above the floor [m]."""
-TAG_HEIGHT = 0.3
-"""How high a car's name floats [m]."""
+TRAIL_LIFT = np.array([0.0, 0.0, 0.016])  # how high a trail lies above the floor [m]
+TAG_HEIGHT = 0.3  # how high a car's name floats [m]
 WHEEL_PLACES = tuple((x, y, WHEEL_RADIUS) for x in (WHEEL_X, -WHEEL_X) for y in (WHEEL_Y, -WHEEL_Y))
 """Centres of front left, front right, rear left, rear right [m], car frame."""
 EYE_CAMERA = CameraConfig(width=288, height=216, colour=True)
@@ -236,14 +234,10 @@ def speeds(cars: np.ndarray) -> np.ndarray:
 class Mesh:
     """Triangles with flat shading."""
 
-    vertices: np.ndarray
-    """(num_vertices, 3) float32."""
-    triangles: np.ndarray
-    """(num_triangles, 3) uint32."""
-    normals: np.ndarray
-    """(num_vertices, 3) float32."""
-    colours: np.ndarray
-    """(num_vertices, 4) uint8 sRGB with alpha."""
+    vertices: np.ndarray  # (num_vertices, 3) float32
+    triangles: np.ndarray  # (num_triangles, 3) uint32
+    normals: np.ndarray  # (num_vertices, 3) float32
+    colours: np.ndarray  # (num_vertices, 4) uint8 sRGB with alpha
 
 
 def joined(*meshes: Mesh) -> Mesh:

@@ -37,8 +37,7 @@ from league.errors import ReplayError, explaining
 from league.rerun_view import paths
 from league.subprocesses import die_with_parent
 
-HOST = "127.0.0.1"
-"""The only address ever listened on."""
+HOST = "127.0.0.1"  # the only address ever listened on
 RECORDING = "race.rrd"
 FILES = {
     "index.html": "text/html; charset=utf-8",
@@ -286,8 +285,7 @@ class Stream:
         self.has_window = has_display() if window is None else window
         """Whether it is a window, which stays open, rather than a page that this program serves."""
         port = free_port()
-        self.address = f"rerun+http://{HOST}:{port}/proxy"
-        """Where it can be watched."""
+        self.address = f"rerun+http://{HOST}:{port}/proxy"  # where it can be watched
         self._home = tempfile.TemporaryDirectory(prefix="league-", ignore_cleanup_errors=True)
         self._server: Server | None = None
         command = _command(port, self.has_window, memory)
@@ -317,8 +315,8 @@ class Stream:
         if self._server is not None:
             self._server.wait()
 
-    def close(self, *, leave_window: bool = True) -> None:
-        """Send what is left and stop serving; a window stays open with `leave_window`."""
+    def close(self) -> None:
+        """Send what is left and stop serving; a window stays open."""
         atexit.unregister(self.close)
         with contextlib.suppress(RuntimeError):  # the viewer may have been closed before
             if self.is_open:
@@ -327,7 +325,7 @@ class Stream:
         if self._server is not None:
             self._server.close()
             self._server = None
-        if not (self.has_window and leave_window):
+        if not self.has_window:
             self._kill()
         self._home.cleanup()
 
@@ -336,7 +334,7 @@ class Stream:
         self._child.wait()
 
 
-def _command(port: int, window: bool, memory: str | None = MEMORY) -> list[str]:
+def _command(port: int, window: bool, memory: str | None) -> list[str]:
     command = [str(rerun_program()), "--bind", HOST, "--port", str(port)]
     if memory is not None:
         command += ["--memory-limit", memory, "--server-memory-limit", memory]

@@ -17,14 +17,11 @@ from league.track.track import SPACING, Colours, Track, TrackSet
 if TYPE_CHECKING:
     from league.track.files import TrackFile
 
-MIN_LENGTH, MAX_LENGTH = 2.0, 300.0
-"""Shortest and longest centreline [m]."""
-MAX_EXTENT = 60.0
-"""Longest side of the rectangle round a centreline [m]."""
+MIN_LENGTH, MAX_LENGTH = 2.0, 300.0  # shortest and longest centreline [m]
+MAX_EXTENT = 60.0  # longest side of the rectangle round a centreline [m]
 MIN_RADIUS = 0.2
 """Smallest radius of a centreline [m], smoothed over 0.3 m; the car itself turns in 0.284 m."""
-MIN_REACH = 0.14
-"""Least room between the centreline and a border [m]; half a car is 0.1 m wide."""
+MIN_REACH = 0.14  # least room between the centreline and a border [m]; half a car is 0.1 m wide
 
 _MAX_MISSES = 0.1  # share of the rows in which the normal may miss an explicit border
 

@@ -16,12 +16,9 @@ from league.errors import TrackError, nearest_names
 from league.track import build
 from league.track.track import Colours, Track
 
-MAX_BYTES = 1_000_000
-"""Largest track file read [bytes]."""
-MAX_POINTS = 2000
-"""Most points in one list."""
-MAX_COORDINATE = 1000.0
-"""Largest coordinate [m]."""
+MAX_BYTES = 1_000_000  # largest track file read [bytes]
+MAX_POINTS = 2000  # most points in one list
+MAX_COORDINATE = 1000.0  # largest coordinate [m]
 
 _MAX_DEPTH = 4
 _PACKAGE = Path(__file__).resolve().parents[1]

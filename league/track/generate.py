@@ -15,8 +15,7 @@ from league.track.track import Track
 
 Direction = Literal["counter-clockwise", "clockwise"]
 
-CLEARANCE = 0.1
-"""Least distance between the borders of two stretches [m]."""
+CLEARANCE = 0.1  # least distance between the borders of two stretches [m]
 
 _ATTEMPTS = 400
 _STEP = 0.05  # spacing of the drawn path [m]

@@ -21,15 +21,12 @@ DASH_WIDTH, DASH_LENGTH, DASH_PITCH = 0.025, 0.051, 0.102
 """Centre dashes [m]; the original's are 1 inch wide, 2 long and 4 apart."""
 START_DEPTH, START_SQUARE = 0.1, 0.05
 """Depth of the checkered start line and the side of its squares [m]."""
-START_COLOURS: tuple[Rgb, Rgb] = ((24, 24, 26), (226, 226, 222))
-"""The start line's two colours."""
+START_COLOURS: tuple[Rgb, Rgb] = ((24, 24, 26), (226, 226, 222))  # the start line's two colours
 ROAD_NOISE, FIELD_NOISE = 3.0, 6.0
 """Standard deviation of the texture, in levels of 255; gentler than the original's 8 and 22."""
-MAX_PIXELS = 60_000_000
-"""Largest picture of a floor."""
+MAX_PIXELS = 60_000_000  # largest picture of a floor
 
-SHIFT = 4
-"""Fractional bits of a drawn corner."""
+SHIFT = 4  # fractional bits of a drawn corner
 
 _FINE = 3  # the drawing is this much finer than the picture: anti-aliasing
 _TILE = 512  # side of the repeated noise tile [pixels]
@@ -45,14 +42,10 @@ Colour = tuple[float, float, float]
 class FloorPicture:
     """The painted floor of the rectangle `Track.room`."""
 
-    image: np.ndarray
-    """uint8, shape (H, W) gray or (H, W, 3) RGB; rows grow with y, columns with x."""
-    origin_x: float
-    """World x of the outer edge of column 0 [m]."""
-    origin_y: float
-    """World y of the outer edge of row 0 [m]."""
-    metres_per_pixel: float
-    """Side of a pixel [m]."""
+    image: np.ndarray  # uint8, shape (H, W) gray or (H, W, 3) RGB; rows grow with y, columns with x
+    origin_x: float  # world x of the outer edge of column 0 [m]
+    origin_y: float  # world y of the outer edge of row 0 [m]
+    metres_per_pixel: float  # side of a pixel [m]
 
     def pixel_of(self, points: np.ndarray) -> np.ndarray:
         """Return (col, row) of world points [m]; whole numbers are pixel middles."""
@@ -200,14 +193,11 @@ def placed(outline: np.ndarray, x: float, y: float, cos: float, sin: float) -> n
 class Plan:
     """A rectangle of a track's floor seen from above, to draw on; what lies north is up."""
 
-    picture: np.ndarray
-    """RGB uint8, shape (H, W, 3)."""
+    picture: np.ndarray  # RGB uint8, shape (H, W, 3)
+    # world place of the outer corner of the picture's upper left pixel [m], shape (2,)
     corner: np.ndarray
-    """World place of the outer corner of the picture's upper left pixel [m], shape (2,)."""
-    pixel: float
-    """Side of a pixel [m]."""
-    sideways: bool = False
-    """A quarter turn to the left: what lies east is up."""
+    pixel: float  # side of a pixel [m]
+    sideways: bool = False  # a quarter turn to the left: what lies east is up
 
     @classmethod
     def of(

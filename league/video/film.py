@@ -33,20 +33,15 @@ from league.video.pixels import draw_shadow
 
 SIZE = (1280, 720)
 FPS = 30
-AFTER_FINISH_S = 2.0
-"""How long a car that has finished is still followed [s]."""
-HOLD_S = 4.0
-"""Time at the end for the classification [s]."""
-DARK = 0.3
-"""Brightness above the walls, as a share of theirs: a hall and not a strip of sky."""
+AFTER_FINISH_S = 2.0  # how long a car that has finished is still followed [s]
+HOLD_S = 4.0  # time at the end for the classification [s]
+DARK = 0.3  # brightness above the walls, as a share of theirs: a hall and not a strip of sky
 LABEL_UP, LABEL_REACH = 0.24, 5.0
 """Where a car's name is: above the floor, and this far from the camera at most [m]."""
 BEHIND, ABOVE, TILT = 1.12, 0.56, 0.27
 """Where the chase camera is: behind its frame [m], above the floor [m], tilted down [rad]."""
-VIEW = 1.15
-"""Its horizontal field of view [rad]."""
-WALL_GAP = 0.06
-"""How near to the wall it goes [m]."""
+VIEW = 1.15  # its horizontal field of view [rad]
+WALL_GAP = 0.06  # how near to the wall it goes [m]
 SHADOW_EDGE, SHADOW_KEPT = 0.025, 0.45
 """Half the width of a shadow's soft edge [m]; the brightness that is left in it, as a share."""
 BATCH = 8

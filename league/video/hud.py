@@ -24,21 +24,17 @@ PANEL: Rgb = (13, 17, 23)
 PANEL_OPACITY = 0.72
 _LETTERS = 200  # longest text drawn; a longer one would not fit anyway
 
-CAPTION_S = 2.6
-"""How long an event stays [s]."""
+CAPTION_S = 2.6  # how long an event stays [s]
 FADE_S = 0.25
 SILENT = frozenset(
     {"start", "contact", "put_back", "lead_change", "attack", "side_by_side", "closest_fight"}
 )
 """Lines of the story without a caption: the picture shows them."""
-FIGHT_HZ = 5
-"""How often the gap of a fight changes: faster, it could not be read."""
+FIGHT_HZ = 5  # how often the gap of a fight changes: faster, it could not be read
 NAME_LETTERS = 18
 
-_MARGIN = 0.35
-"""How much of the field round the road the top view shows [m]."""
-_LARGER = 1.6
-"""Its cars are drawn this much larger than they are, to be seen."""
+_MARGIN = 0.35  # how much of the field round the road the top view shows [m]
+_LARGER = 1.6  # its cars are drawn this much larger than they are, to be seen
 _DIMMED = 0.62
 
 

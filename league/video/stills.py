@@ -19,20 +19,15 @@ from league.sim.records import World
 from league.track.markings import SHIFT, Colour, Plan, placed
 from league.track.track import Track, TrackSet
 
-CHASE_BEHIND = 0.78
-"""How far behind a car's base the chase camera flies [m]."""
-CHASE_UP = 0.46
-"""How high [m]."""
-CHASE_PITCH = 0.33
-"""How far it looks down [rad]."""
-CHASE_FIELD_OF_VIEW = 1.15
-"""Across [rad]."""
+CHASE_BEHIND = 0.78  # how far behind a car's base the chase camera flies [m]
+CHASE_UP = 0.46  # how high [m]
+CHASE_PITCH = 0.33  # how far it looks down [rad]
+CHASE_FIELD_OF_VIEW = 1.15  # across [rad]
 
 STRIP_COLUMNS, STRIP_ROWS = 4, 2
 STRIP_CAMERA = CameraConfig(width=240, height=180, colour=True, eyes="left")
 """The stock mount and lens, with more pixels than the drivers get, so that people see something."""
-STRIP_QUALITY = 80
-"""Of the JPEG."""
+STRIP_QUALITY = 80  # of the JPEG
 
 _FINER = 2  # drawn this much larger, then averaged: smooth edges
 _BACKDROP = (24, 29, 36)
