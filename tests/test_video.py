@@ -161,7 +161,7 @@ def test_the_map_puts_a_car_where_it_is(cars):
 
 def test_graphics_beyond_the_edge_are_cut_off():
     picture = np.zeros((40, 60, 3), np.uint8)
-    hud.put_panel(picture, -10, -10, 300, 300, radius=4, colour=(255, 255, 255), opacity=1.0)
+    hud.put_panel(picture, (-10, -10, 300, 300), 4, (255, 255, 255), opacity=1.0)
     hud.put_text(picture, "far outside", 500, 500, 20)
     hud.put_text(picture, "", 5, 5, 20)
     assert (picture == 255).all()

@@ -65,12 +65,7 @@ class StepRows:
         self._roads: Roads | None = None
 
     def of(
-        self,
-        tracks: TrackSet,
-        sim: SimConfig,
-        before: ndarray,
-        world: World,
-        rewards: ndarray,
+        self, tracks: TrackSet, sim: SimConfig, before: ndarray, world: World, rewards: ndarray
     ) -> list[dict[str, Any]]:
         """Return a row for each world.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -268,15 +268,20 @@ def _won(result: RaceResult) -> str:
     return f"{first.name} wins by its {result.spec.ranking} lap time, before {second.name}"
 
 
+def moments(replay: Replay) -> Iterator[tuple[float, Cars]]:
+    """Yield the time [s] of each frame and its cars."""
+    columns = {name: getattr(replay.columns, name) for name in FIELDS}
+    for frame, time_s in enumerate(replay.times_s.tolist()):
+        yield time_s, {name: column[frame] for name, column in columns.items()}
+
+
 def of_replay(replay: Replay) -> list[Remark]:
     """Return the whole story of a recorded race, in order of time."""
-    columns = {name: getattr(replay.columns, name) for name in FIELDS}
     events: dict[int, list[Event]] = {}
     for event in replay.result.events:
         events.setdefault(round(event.time_s * replay.step_hz), []).append(event)
     commentator = Commentator(replay.spec, replay.names, closed=replay.track.closed)
     lines: list[Remark] = []
-    for frame, time_s in enumerate(replay.times_s.tolist()):
-        cars = {name: column[frame] for name, column in columns.items()}
+    for frame, (time_s, cars) in enumerate(moments(replay)):
         lines += commentator.add(time_s, cars, events.get(frame, ()))
     return lines + commentator.end(replay.result)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from league.replay.commentary import APART, ATTACK, LEVEL, Cars, gap_s, gaps_m
+from league.replay.commentary import APART, ATTACK, LEVEL, Cars, gap_s, gaps_m, moments
 from league.replay.replay import Replay
 
 PACK = 3.0  # two cars this close along the track [m] are in one picture
@@ -113,11 +113,7 @@ def chase_path(replay: Replay) -> ChasePath:
     columns, director = replay.columns, Director()
     subject = np.empty(replay.num_frames, np.int64)
     take, fights = np.zeros(replay.num_frames, np.int64), []
-    for frame, time_s in enumerate(replay.times_s.tolist()):
-        cars = {
-            name: getattr(columns, name)[frame]
-            for name in ("x", "y", "velocity_x", "velocity_y", "distance", "ghost")
-        }
+    for frame, (time_s, cars) in enumerate(moments(replay)):
         before, shot = director.shot, director.add(time_s, cars)
         if replay.spec.format == "pursuit":
             # A gap of nothing may be half a lap of road: the winner is followed.

@@ -182,11 +182,6 @@ class Replay:
             ),
         )
 
-    @cached_property
-    def leader(self) -> np.ndarray:
-        """The car in front in each frame, (num_frames,)."""
-        return self.columns.distance.argmax(axis=1)
-
     @property
     def running_order(self) -> np.ndarray:
         """The cars by distance in each frame, the leader first, (num_frames, num_cars)."""
@@ -241,7 +236,7 @@ def _worlds(replay: Replay, low: np.ndarray, part: np.ndarray) -> World:
     share = np.where(moved < JUMP, part[:, None], 0.0)  # (num_worlds, num_cars)
     worlds = np.zeros(number, records.WORLD)
     worlds["seed"], worlds["step"] = replay.spec.seed, low
-    worlds["leader"] = replay.leader[low]
+    worlds["leader"] = columns.distance[low].argmax(axis=1)
     cars = np.zeros((number, replay.num_cars), records.CAR)
     for name in ("x", "y", "velocity_x", "velocity_y", "yaw_rate", "steering", "z"):
         column = getattr(columns, name)

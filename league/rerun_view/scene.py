@@ -253,19 +253,12 @@ def joined(*meshes: Mesh) -> Mesh:
 
 
 def floor(track: Track) -> Mesh:
-    """Return the field, road, lines, dashes and start line."""
-    colours = track.colours
-    inner, outer = (-track.line_width, 0.0) if track.line_inside else (0.0, track.line_width)
-    layers = [
-        _flat(_room(track)[None], 0.0, colours.field),
-        _flat(markings.strip(track, outer), LIFT, colours.line),
-        _flat(markings.strip(track, inner), 2 * LIFT, colours.road),
-        _flat(markings.dashes(track), 3 * LIFT, colours.dash),
-    ]
-    if track.closed:
-        for squares, rgb in zip(markings.start_squares(track), markings.START_COLOURS, strict=True):
-            layers.append(_flat(squares, 4 * LIFT, rgb))
-    return joined(*layers)
+    """Return the field, and what is painted on it, layer by layer."""
+    field = _flat(_room(track)[None], 0.0, track.colours.field)
+    painted = enumerate(markings.layers(track), 1)
+    # The start line's squares, the last two layers, lie side by side.
+    layers = [_flat(quads, min(layer, 4) * LIFT, rgb) for layer, (quads, rgb) in painted]
+    return joined(field, *layers)
 
 
 def walls(track: Track) -> Mesh:

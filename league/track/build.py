@@ -132,11 +132,7 @@ def _reaches(
 
 
 def _reach(
-    center: np.ndarray,
-    normal: np.ndarray,
-    border: np.ndarray,
-    side: str,
-    file: TrackFile,
+    center: np.ndarray, normal: np.ndarray, border: np.ndarray, side: str, file: TrackFile
 ) -> np.ndarray:
     crossing = first_crossing(border, closed=file.closed)
     if crossing is not None:

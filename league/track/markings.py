@@ -74,16 +74,12 @@ def floor(track: Track, metres_per_pixel: float, *, colour: bool) -> FloorPictur
         for corners in np.round(place * (1 << SHIFT)).astype(np.int32):
             cv2.fillConvexPoly(image, corners, colour, lineType=cv2.LINE_8, shift=SHIFT)
 
-    colours, spill = track.colours, 0.5 * metres_per_pixel / _FINE
-    inner, outer = (-track.line_width, 0.0) if track.line_inside else (0.0, track.line_width)
-    for wider, colour_of_strip in ((outer, colours.line), (inner, colours.road)):
-        road = strip(track, wider, spill)  # filled polygons spill over by half a fine pixel
-        fill(road, fine, colour_of_strip)
-        fill(road, on_road, 255)
-    fill(dashes(track), fine, colours.dash)
-    if track.closed:
-        for squares, rgb in zip(start_squares(track), START_COLOURS, strict=True):
-            fill(squares, fine, rgb)
+    # Filled polygons spill over by half a fine pixel.
+    painted = layers(track, 0.5 * metres_per_pixel / _FINE)
+    for polygons, rgb in painted:
+        fill(polygons, fine, rgb)
+    for polygons, _ in painted[:2]:
+        fill(polygons, on_road, 255)
     image = cv2.resize(fine, (columns, rows), interpolation=cv2.INTER_AREA)
     noise = np.tile(_noise_tile(), (rows // _TILE + 1, columns // _TILE + 1))[:rows, :columns]
     noise = noise * np.where(on_road > 0, np.float32(ROAD_NOISE), np.float32(FIELD_NOISE))
@@ -109,7 +105,23 @@ def _noise_tile() -> np.ndarray:
     return soft / soft.std()
 
 
-def strip(track: Track, wider: float, spill: float = 0.0) -> np.ndarray:
+def layers(track: Track, spill: float = 0.0) -> list[tuple[np.ndarray, Rgb]]:
+    """Return what is painted on the field, one over the other: quadrilaterals, (K, 4, 2), and RGB.
+
+    White lines, road, each less `spill` [m] on either side; dashes, and the start line's squares.
+    """
+    inner, outer = (-track.line_width, 0.0) if track.line_inside else (0.0, track.line_width)
+    painted = [
+        (_strip(track, outer, spill), track.colours.line),
+        (_strip(track, inner, spill), track.colours.road),
+        (dashes(track), track.colours.dash),
+    ]
+    if track.closed:
+        painted += zip(_start_squares(track), START_COLOURS, strict=True)
+    return painted
+
+
+def _strip(track: Track, wider: float, spill: float) -> np.ndarray:
     """Return the road as quadrilaterals, (K, 4, 2), each border moved out by `wider - spill` [m].
 
     Quadrilaterals of the two halves are filled one by one, so that folds of a tight bend overlap
@@ -158,7 +170,7 @@ def dashes(track: Track) -> np.ndarray:
     return _rectangles(middle, along, DASH_LENGTH, DASH_WIDTH)
 
 
-def start_squares(track: Track) -> tuple[np.ndarray, np.ndarray]:
+def _start_squares(track: Track) -> tuple[np.ndarray, np.ndarray]:
     """Return the dark and the bright squares of the start line, each of shape (K, 4, 2)."""
     along = track.tangent[0]
     across = np.array([-along[1], along[0]])

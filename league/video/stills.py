@@ -74,14 +74,10 @@ def top_view(
 def draw_things(
     plan: Plan, state: SceneState, *, size: float, line: int = 1, numbers: bool = False
 ) -> None:
-    """Draw the obstacles and cars of a SceneState's first world on a plan.
+    """Draw the obstacles and cars of a SceneState's first world on a plan's picture.
 
-    Args:
-        plan: its picture is drawn on.
-        state: one world, or several.
-        size: how many times larger than they are cars are drawn, so that they can be seen.
-        line: width of a fine line [px].
-        numbers: write each car's number on the left of its way.
+    Cars are drawn `size` times larger than they are, so that they can be seen, fine lines `line` px
+    wide, and with `numbers` each car's number on the left of its way.
     """
     things, num_cars = state.things()[0], state.num_cars
     length = 2 * size * CAR.half_length
