@@ -6,6 +6,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import unquote
@@ -235,7 +236,7 @@ def test_a_live_race_sends_each_step_and_touches_nothing(tmp_path):
 
 def test_a_live_race_is_served_to_this_machine_only():
     made = by_hand(2)
-    with rerun_view.Live.start(made.spec, made.track, window=False, speed=0.0) as live:
+    with closing(rerun_view.Live.start(made.spec, made.track, window=False)) as live:
         live.add(made.at(np.array([0.0])))
         assert live.how_to_end == "The page stays as it is until you press Ctrl-C."
         ports = [int(part.split("/")[0]) for part in _ports(live.address)]

@@ -59,7 +59,7 @@ def mistakes(verdicts: ndarray) -> list[str]:
 class StepRows:
     """The columns of the CSV that follow from one step alone, for car 0 of each world."""
 
-    def __init__(self, space: ActionSpace | None = None) -> None:
+    def __init__(self, space: ActionSpace | None) -> None:
         """Prepare; column `action` holds a choice of a discrete space, or else two numbers."""
         self._space = space
         self._roads: Roads | None = None

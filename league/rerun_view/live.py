@@ -34,16 +34,13 @@ CHARTS = {
 class Live:
     """Streams one race; `add` is called with the world after each step and never changes it."""
 
-    def __init__(self, spec: RaceSpec, track: Track, stream: Stream, *, speed: float = 0.0) -> None:
-        """Send what never changes to a viewer; `start` also opens one.
-
-        The race runs at `speed` seconds per second at most; 0: as fast as it can.
-        """
+    def __init__(self, spec: RaceSpec, track: Track, stream: Stream) -> None:
+        """Send what never changes to a viewer; `start` also opens one."""
         self._stream, self.address = stream, stream.address  # where it can be watched
         self._names = tuple(entry.name for entry in spec.entries)
         self._bots = spec.obstacle_kind == "bot"
-        self._speed, self._step_hz = speed, SimConfig().step_hz
-        self._begin_s: float | None = None
+        self._step_hz = SimConfig().step_hz
+        self._began_s: float | None = None
         self._chase: np.ndarray | None = None
         self._commentator = Commentator(spec, self._names, closed=track.closed)
         self._director, self._events = Director(), list[Event]()
@@ -53,9 +50,7 @@ class Live:
         self._shown = ""
 
     @classmethod
-    def start(
-        cls, spec: RaceSpec, track: Track, *, speed: float = 1.0, window: bool | None = None
-    ) -> Live:
+    def start(cls, spec: RaceSpec, track: Track, *, window: bool | None = None) -> Live:
         """Open a viewer, in a window or else on a local web page, and stream to it.
 
         `window` is by default whether there is a display.
@@ -63,7 +58,7 @@ class Live:
         drivers = tuple(entry.name for entry in spec.entries)
         layout = blueprint.broadcast(len(drivers), drivers, track.room, cameras=False, live=True)
         # A race ends, so the viewer may keep all of it.
-        return cls(spec, track, Stream(layout, window=window, memory=None), speed=speed)
+        return cls(spec, track, Stream(layout, window=window, memory=None))
 
     def add(self, world: World) -> None:
         """Send the world after one step, and wait while the race is ahead of the clock."""
@@ -88,10 +83,8 @@ class Live:
             self._writer.send_text(paths.TITLE, times, [text])
         self._follow(times, cars[0, shot.rear])
         now = time.monotonic()
-        if self._begin_s is None:
-            self._begin_s = now
-        if self._speed > 0:
-            time.sleep(max(0.0, self._begin_s + times[0] / self._speed - now))
+        self._began_s = now if self._began_s is None else self._began_s
+        time.sleep(max(0.0, self._began_s + times[0] - now))
 
     def note(self, event: Event) -> None:
         """Take an event of the race's log; the commentary of the next step is about it."""
@@ -127,12 +120,6 @@ class Live:
     def close(self) -> None:
         """Send what is left and stop serving; a window stays open."""
         self._stream.close()
-
-    def __enter__(self) -> Live:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 @dataclass(frozen=True)

@@ -197,10 +197,16 @@ def read(text: str, where: str) -> TrackFile:
         raise TrackError(
             f"{where} holds a value that cannot be read ({error}); correct it"
         ) from None
-    return checked(content, where, root)
+    return _checked(content, where, root)
 
 
-def checked(content: object, where: str, root: yaml.Node | None = None) -> TrackFile:
+def built(content: dict[str, Any], where: str) -> Track:
+    """Build the track of a file's content through its text, so that the text gives it again."""
+    file = _checked(content, where)
+    return build.track(file, write(file), where)
+
+
+def _checked(content: object, where: str, root: yaml.Node | None = None) -> TrackFile:
     """Check a file's content; `root` is its YAML, for the line numbers of errors."""
     try:
         return TrackFile.model_validate(content)

@@ -85,7 +85,7 @@ def from_rows(rows: np.ndarray, name: str, where: str) -> Track:
     waypoints = np.concatenate([waypoints, rows[:1, :2]]) if closed else waypoints
     points = _thinned_curve(center, closed)
     width = _usual_width(points, left, right, closed, where)
-    file = files.checked(
+    return files.built(
         {
             "name": name,
             "title": name.replace("_", " "),
@@ -102,7 +102,6 @@ def from_rows(rows: np.ndarray, name: str, where: str) -> Track:
         },
         where,
     )
-    return build.track(file, files.write(file), where)
 
 
 def _read_rows(where: str) -> np.ndarray:

@@ -249,7 +249,7 @@ def text_mask(text: str, size: int, weight: int) -> np.ndarray:
     return np.ascontiguousarray(canvas[:, :right, 0])
 
 
-def text_width(text: str, size: int, weight: int = 400) -> int:
+def text_width(text: str, size: int, weight: int) -> int:
     """Return how many pixels a text takes across."""
     return text_mask(text, size, weight).shape[1]
 
