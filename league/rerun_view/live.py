@@ -13,7 +13,7 @@ from league import times
 from league.race_spec import Event, RaceResult, RaceSpec
 from league.replay.commentary import Commentator
 from league.replay.director import PACK, Director
-from league.rerun_view import blueprint, paths, record
+from league.rerun_view import layout, record
 from league.rerun_view.scene import SceneWriter, positions, rotation, speeds
 from league.rerun_view.viewer import Stream
 from league.sim.config import SimConfig
@@ -25,9 +25,9 @@ BATCH_S = 1.0  # seconds between two batches sent
 AHEAD_S = 2.0  # how far the driving shown may run ahead of the clock before steps are skipped [s]
 MOST_CARS = 6  # cars shown at most
 CHARTS = {
-    paths.PLOT_REWARD: ("reward", (47, 158, 99)),
-    paths.PLOT_TRAINING: ("training", (80, 150, 240)),
-    paths.PLOT_EVALUATION: ("evaluation", (235, 96, 80)),
+    layout.PLOT_REWARD: ("reward", (47, 158, 99)),
+    layout.PLOT_TRAINING: ("training", (80, 150, 240)),
+    layout.PLOT_EVALUATION: ("evaluation", (235, 96, 80)),
 }
 
 
@@ -56,9 +56,9 @@ class Live:
         `window` is by default whether there is a display.
         """
         drivers = tuple(entry.name for entry in spec.entries)
-        layout = blueprint.broadcast(len(drivers), drivers, track.room, cameras=False, live=True)
+        views = layout.broadcast(len(drivers), drivers, track.room, cameras=False, live=True)
         # A race ends, so the viewer may keep all of it.
-        return cls(spec, track, Stream(layout, window=window, memory=None))
+        return cls(spec, track, Stream(views, window=window, memory=None))
 
     def add(self, world: World) -> None:
         """Send the world after one step, and wait while the race is ahead of the clock."""
@@ -67,9 +67,9 @@ class Live:
         cars = world.cars[:1]
         gaps = cars["distance"].max() - cars["distance"]
         self._writer.send_cars(times, cars)
-        self._writer.send_chart(paths.PLOT_SPEED, times, speeds(cars))
-        self._writer.send_chart(paths.PLOT_GAP, times, gaps)
-        self._writer.send_chart(paths.PLOT_STEERING, times, np.degrees(cars["steering"]))
+        self._writer.send_chart(layout.PLOT_SPEED, times, speeds(cars))
+        self._writer.send_chart(layout.PLOT_GAP, times, gaps)
+        self._writer.send_chart(layout.PLOT_STEERING, times, np.degrees(cars["steering"]))
         if world.num_obstacles:
             self._writer.send_obstacles(times, world.obstacles[:1], bots=self._bots)
         for line in self._commentator.add(float(times[0]), cars[0], self._events):
@@ -80,7 +80,7 @@ class Live:
         text = record.running_order(self._title, order, shot.sentence(self._names, cars[0]))
         if text != self._shown:
             self._shown = text
-            self._writer.send_text(paths.TITLE, times, [text])
+            self._writer.send_text(layout.TITLE, times, [text])
         self._follow(times, cars[0, shot.rear])
         now = time.monotonic()
         self._began_s = now if self._began_s is None else self._began_s
@@ -104,7 +104,7 @@ class Live:
         forward = (target[:2] - self._chase[:2]) * 3 * CHASE_SHARE
         self._chase = self._chase + np.array([*forward, turn * CHASE_SHARE])
         x, y, yaw = self._chase[:, None]
-        self._writer.send_poses(paths.CHASE, times, positions(x, y), rotation(yaw))
+        self._writer.send_poses(layout.CHASE, times, positions(x, y), rotation(yaw))
 
     @property
     def how_to_end(self) -> str:
@@ -211,7 +211,7 @@ class TrainingStream:
         self._steps = []
         times = (self._frames - len(cars) + np.arange(len(cars))) / self._step_hz
         self._writer.send_cars(times, cars)
-        self._writer.send_chart(paths.PLOT_SPEED, times, speeds(cars))
+        self._writer.send_chart(layout.PLOT_SPEED, times, speeds(cars))
 
     def add_metric(self, path: str, value: float | None) -> None:
         """Add a point to a chart, now."""

@@ -15,7 +15,7 @@ import rerun as rr
 from scipy.spatial.transform import Rotation
 
 from league.replay.replay import JUMP
-from league.rerun_view import paths
+from league.rerun_view import layout
 from league.sim.camera.scene import (
     BODY,
     BOT_COLOUR,
@@ -61,22 +61,22 @@ class SceneWriter:
         self._last: np.ndarray | None = None
         self._spin = np.zeros(len(names))
         self._obstacles: np.ndarray | None = None
-        recording.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        self._mesh(paths.FLOOR, floor(track))
-        self._mesh(paths.WALLS, walls(track), WALL_OPACITY)
+        recording.log(layout.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        self._mesh(layout.FLOOR, floor(track))
+        self._mesh(layout.WALLS, walls(track), WALL_OPACITY)
         rim, shade = wheel(), shadow(CAR)
         for slot, (name, colour) in enumerate(zip(names, CAR_COLOURS, strict=False)):
-            self._mesh(paths.body(slot), car_body(CAR, colour))
-            self._mesh(f"{paths.car(slot)}/shadow", shade, SHADOW_OPACITY)
-            for which in paths.WHEELS:
-                self._mesh(paths.wheel(slot, which), rim)
+            self._mesh(layout.car(slot, "body"), car_body(CAR, colour))
+            self._mesh(layout.car(slot, "shadow"), shade, SHADOW_OPACITY)
+            for which in layout.WHEELS:
+                self._mesh(layout.car(slot, "wheels", which), rim)
             tag = rr.Points3D([[0, 0, TAG_HEIGHT]], radii=0.0005, colors=[colour], labels=[name])
-            recording.log(f"{paths.car(slot)}/name", tag, static=True)
+            recording.log(layout.car(slot, "name"), tag, static=True)
             trail = rr.LineStrips3D.from_fields(colors=[colour], radii=[0.006])
-            recording.log(paths.trail(slot), trail, static=True)
-            for side in paths.EYES:
+            recording.log(layout.trail(slot), trail, static=True)
+            for side in layout.EYES:
                 self._eye(slot, side)
-        for chart in (paths.PLOT_SPEED, paths.PLOT_GAP, paths.PLOT_STEERING):
+        for chart in (layout.PLOT_SPEED, layout.PLOT_GAP, layout.PLOT_STEERING):
             self.style_chart(chart, names, CAR_COLOURS[: len(names)])
 
     def _mesh(self, path: str, mesh: Mesh, opacity: float = 1.0) -> None:
@@ -96,7 +96,7 @@ class SceneWriter:
         cos, sin = math.cos(camera.pitch), math.sin(camera.pitch)
         right, down, forward = (0.0, -1.0, 0.0), (-sin, 0.0, -cos), (cos, 0.0, -sin)
         self.recording.log(
-            paths.eye(slot, side),
+            layout.car(slot, "eyes", side),
             rr.Transform3D(
                 translation=(camera.forward, offset, camera.up),
                 mat3x3=np.array([right, down, forward]).T,
@@ -127,18 +127,18 @@ class SceneWriter:
         self._last, self._spin = cars[-1:].copy(), spin[-1]
         turns = rotation(cars["yaw"], cars["pitch"], cars["roll"])
         for slot in range(cars.shape[1]):
-            self.send_poses(paths.car(slot), times_s, places[1:, slot], turns[:, slot])
-            for which, centre in zip(paths.WHEELS, WHEEL_PLACES, strict=True):
+            self.send_poses(layout.car(slot), times_s, places[1:, slot], turns[:, slot])
+            for which, centre in zip(layout.WHEELS, WHEEL_PLACES, strict=True):
                 steering = cars["steering"][:, slot] * ("front" in which)
                 centres = np.broadcast_to(centre, (len(cars), 3))
                 rolled = rotation(steering, spin[1:, slot])
-                self.send_poses(paths.wheel(slot, which), times_s, centres, rolled)
+                self.send_poses(layout.car(slot, "wheels", which), times_s, centres, rolled)
             # One short strip a frame; the view shows the last seconds of them.
             before, now = places[:-1, slot], places[1:, slot]
             jumped = np.linalg.norm(now - before, axis=1, keepdims=True) > JUMP
             strips = np.stack([np.where(jumped, now, before), now], axis=1) + TRAIL_LIFT
             trail = rr.LineStrips3D.columns(strips=list(strips.astype(np.float32)))
-            self.send(paths.trail(slot), times_s, trail)
+            self.send(layout.trail(slot), times_s, trail)
 
     def send_obstacles(
         self, times_s: np.ndarray | None, obstacles: np.ndarray, *, bots: bool
@@ -156,12 +156,12 @@ class SceneWriter:
             for index, thing in enumerate(obstacles[0]):
                 size = 2 * float(thing["half_length"]), 2 * float(thing["half_width"])
                 box = solid_mesh(BOX.solids[0], BOX_COLOUR, (*size, ObstacleConfig().height))
-                self._mesh(paths.obstacle(index), car_body(CAR, BOT_COLOUR) if bots else box)
+                self._mesh(layout.obstacle(index), car_body(CAR, BOT_COLOUR) if bots else box)
         self._obstacles = poses[-1:].copy()
         places = positions(obstacles["x"], obstacles["y"])
         turns = rotation(obstacles["yaw"])
         for index in range(obstacles.shape[1]):
-            path = paths.obstacle(index)
+            path = layout.obstacle(index)
             if times_s is None:
                 turn = rr.Quaternion(xyzw=turns[0, index])
                 pose = rr.Transform3D(translation=places[0, index], quaternion=turn)
@@ -183,7 +183,7 @@ class SceneWriter:
 
     def send(self, path: str, times_s: np.ndarray, columns: rr.ComponentColumnList) -> None:
         """Send columns at race times [s]."""
-        times = [rr.TimeColumn(paths.TIMELINE, duration=times_s)]
+        times = [rr.TimeColumn(layout.TIMELINE, duration=times_s)]
         self.recording.send_columns(path, times, columns)
 
     def send_text(self, path: str, times: np.ndarray, texts: Sequence[str]) -> None:
@@ -196,7 +196,7 @@ class SceneWriter:
     ) -> None:
         """Add a line to the list of events."""
         line = rr.TextLog.columns(text=[text], level=[level], color=[colour])
-        self.send(paths.EVENTS, np.array([time_s]), line)
+        self.send(layout.EVENTS, np.array([time_s]), line)
 
 
 def positions(x: np.ndarray, y: np.ndarray, z: np.ndarray | float = 0.0) -> np.ndarray:

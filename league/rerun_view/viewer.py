@@ -34,7 +34,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from league.errors import ReplayError, explaining
-from league.rerun_view import paths
+from league.rerun_view import layout
 from league.subprocesses import die_with_parent
 
 HOST = "127.0.0.1"  # the only address ever listened on
@@ -272,9 +272,9 @@ class Stream:
     """A viewer and the recording that it shows as it is written; on this machine alone."""
 
     def __init__(
-        self, layout: rrb.Blueprint, *, window: bool | None = None, memory: str | None = MEMORY
+        self, views: rrb.Blueprint, *, window: bool | None = None, memory: str | None = MEMORY
     ) -> None:
-        """Open a viewer with this layout.
+        """Open a viewer with these views.
 
         `window` is by default whether there is a display; `memory` is what the viewer keeps at
         most, and None leaves it to the viewer.
@@ -292,8 +292,8 @@ class Stream:
         self._child = _launch(command, None if self.has_window else self._home.name)
         try:
             wait_until_open(port, self._child)
-            self.recording = rr.RecordingStream(paths.APPLICATION, recording_id=str(uuid.uuid4()))
-            self.recording.connect_grpc(self.address, default_blueprint=layout)
+            self.recording = rr.RecordingStream(layout.APPLICATION, recording_id=str(uuid.uuid4()))
+            self.recording.connect_grpc(self.address, default_blueprint=views)
             if not self.has_window:
                 query = f"url={quote(self.address, safe='')}"
                 self._server = Server(0, query, None, connect=f"http://{HOST}:{port}")
