@@ -22,7 +22,6 @@ PARAMETERS = ("grip", "mass", "latency_s", "steering_offset", "camera_up", "came
 JUMP = 0.5
 """A car that moved farther than this in one step [m] was put back: nothing is drawn between."""
 Axis = Literal["cars", "actions", "obstacles", "frames"]
-NUM_ACTIONS = 2
 TURN_STEP = 2 * np.pi / 65536
 """A heading is kept in 65,536ths of a turn (9.6e-5 rad), so that it wraps by itself."""
 
@@ -42,46 +41,39 @@ class Grain:
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Each step of a race as float64 arrays, num_frames first, in the order of the file."""
+    """Each step of a race as float64 arrays, in the order of the file; world frame.
 
-    x: Annotated[np.ndarray, Grain("cars", 1e-3, 2)]
-    """Position of the base, world frame [m], (num_frames, num_cars)."""
+    Columns of cars are (num_frames, num_cars); those of obstacles (num_frames, num_obstacles), or
+    (1, num_obstacles) if none ever moves.
+    """
+
+    x: Annotated[np.ndarray, Grain("cars", 1e-3, 2)]  # of the base [m]
     y: Annotated[np.ndarray, Grain("cars", 1e-3, 2)]
-    """Position of the base, world frame [m], (num_frames, num_cars)."""
-    yaw: Annotated[np.ndarray, Grain("cars", TURN_STEP, 2, wraps=True)]
-    """Heading in [-pi, pi) [rad], (num_frames, num_cars)."""
-    velocity_x: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]
-    """Velocity, world frame [m/s], (num_frames, num_cars)."""
+    yaw: Annotated[np.ndarray, Grain("cars", TURN_STEP, 2, wraps=True)]  # in [-pi, pi) [rad]
+    velocity_x: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]  # [m/s]
     velocity_y: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]
-    """Velocity, world frame [m/s], (num_frames, num_cars)."""
-    yaw_rate: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]
-    """[rad/s], (num_frames, num_cars)."""
-    steering: Annotated[np.ndarray, Grain("cars", 1e-4, 1)]
-    """Angle of the front wheels, positive to the left [rad], (num_frames, num_cars)."""
+    yaw_rate: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]  # [rad/s]
+    steering: Annotated[
+        np.ndarray, Grain("cars", 1e-4, 1)
+    ]  # of the front wheels, to the left [rad]
+    # the drivers' in the step that led here, (num_frames, num_cars, 2)
     actions: Annotated[np.ndarray, Grain("actions", 1e-4, 1)]
-    """The drivers' actions in the step that led here, (num_frames, num_cars, 2)."""
+    # seconds of penalty still to stand [s]; above 0 the car is frozen
     penalty_s: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]
-    """Seconds of penalty still to stand [s], (num_frames, num_cars); above 0 the car is frozen."""
-    ghost: Annotated[np.ndarray, Grain("cars", 1.0, 1)]
-    """1 while the car cannot collide, (num_frames, num_cars)."""
-    laps: Annotated[np.ndarray, Grain("cars", 1.0, 1)]
-    """Complete laps, (num_frames, num_cars)."""
+    ghost: Annotated[np.ndarray, Grain("cars", 1.0, 1)]  # 1 while the car cannot collide
+    laps: Annotated[np.ndarray, Grain("cars", 1.0, 1)]  # complete ones
+    # driven along the track since the start line [m]
     distance: Annotated[np.ndarray, Grain("cars", 1e-3, 2)]
-    """Driven along the track since the start line [m], (num_frames, num_cars)."""
-    obstacle_x: Annotated[np.ndarray, Grain("obstacles", 1e-3, 2)]
-    """Centre [m], (num_frames, num_obstacles), or (1, num_obstacles) if none ever moves."""
+    obstacle_x: Annotated[np.ndarray, Grain("obstacles", 1e-3, 2)]  # of the centre [m]
     obstacle_y: Annotated[np.ndarray, Grain("obstacles", 1e-3, 2)]
-    """Centre [m], like obstacle_x."""
-    obstacle_yaw: Annotated[np.ndarray, Grain("obstacles", TURN_STEP, 2, wraps=True)]
-    """[rad], like obstacle_x."""
+    obstacle_yaw: Annotated[np.ndarray, Grain("obstacles", TURN_STEP, 2, wraps=True)]  # [rad]
+    # height of the base above where it stands at rest [m]
     z: Annotated[np.ndarray, Grain("cars", 1e-3, 1, since=2)]
-    """Height of the base above where it stands at rest [m], (num_frames, num_cars)."""
+    # about the car's own x, positive to the right, and about its y, positive nose down [rad]
     roll: Annotated[np.ndarray, Grain("cars", TURN_STEP, 1, wraps=True, since=2)]
-    """About the car's own x, positive to the right [rad], (num_frames, num_cars)."""
     pitch: Annotated[np.ndarray, Grain("cars", TURN_STEP, 1, wraps=True, since=2)]
-    """About the car's own y, positive nose down [rad], (num_frames, num_cars)."""
+    # CRC-32 of the exact bits of each step before rounding, uint32, (num_frames,)
     checksum: np.ndarray
-    """CRC-32 of the exact bits of each step before rounding, uint32, (num_frames,)."""
 
     @property
     def num_obstacles(self) -> int:

@@ -38,32 +38,25 @@ class TrackFile(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_]{0,63}$")]
-    """Short name: letters, digits, underscore."""
+    # what a person calls it
     title: Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
-    """What a person calls it."""
+    # which way round it is driven, as the order of the points says; `open` does not return
     direction: Literal["counter-clockwise", "clockwise", "open"]
-    """Which way round it is driven, as the order of the points says; `open` does not return."""
-    width: Annotated[Number, Field(ge=0.3, le=4.0)]
-    """Distance between the borders [m]."""
-    line: Literal["inside", "outside"]
-    """Whether the white line lies inside the border, on the road, or outside it."""
+    width: Annotated[Number, Field(ge=0.3, le=4.0)]  # distance between the borders
+    line: Literal["inside", "outside"]  # where the white line lies: on the road, or beside it
     line_width: Annotated[Number, Field(ge=0.0, le=0.3)] = 0.076
-    """Width of the white lines [m]."""
-    start: Point | None = None
-    """Where the start line crosses the centreline; the first of the points if omitted."""
-    colours: dict[Part, Rgb | None] = {}
-    """Colours of the floor, sRGB 0-255; omitted ones keep their default."""
-    origin: Annotated[str, Field(max_length=2000)] = ""
-    """Where the shape comes from."""
+    start: Point | None = None  # where the start line crosses the centreline; None: points[0]
+    colours: dict[
+        Part, Rgb | None
+    ] = {}  # of the floor, sRGB 0-255; omitted ones keep their default
+    origin: Annotated[str, Field(max_length=2000)] = ""  # where the shape comes from
+    # centreline in driving order; a smooth curve joins them, and a loop does not repeat the first
     points: Annotated[list[Point], Field(min_length=3, max_length=MAX_POINTS)]
-    """Centreline in driving order; a smooth curve joins them. A loop does not repeat the first."""
-    left: Polyline | None = None
-    """Border on the driver's left; both borders follow from points and width if omitted."""
-    right: Polyline | None = None
-    """Border on the driver's right."""
+    left: Polyline | None = None  # border on the driver's left; None: by points and width
+    right: Polyline | None = None  # border on the driver's right
+    # `waypoints` of reward functions, in driving order, of which a loop repeats the first as its
+    # last; None: evenly spaced points of the centreline
     waypoints: Annotated[list[Point], Field(min_length=2, max_length=MAX_POINTS + 1)] | None = None
-    """`waypoints` of reward functions, in driving order; evenly spaced points of the centreline if
-    omitted. Unlike `points`, a loop repeats its first as its last."""
 
     @property
     def closed(self) -> bool:
