@@ -290,7 +290,7 @@ def test_no_server_outlives_a_program_that_is_ended(sign):
     program = (
         "import time\nfrom league.rerun_view import layout\n"
         "from league.rerun_view.viewer import Stream\n"
-        "stream = Stream(layout.broadcast(1, ('a',), (0, 0, 1, 1)), window=False)\n"
+        "stream = Stream(layout.broadcast(['a'], (0, 0, 1, 1), cameras=False), window=False)\n"
         "print(stream._child.pid, flush=True)\ntime.sleep(60)\n"
     )
     with subprocess.Popen([sys.executable, "-c", program], stdout=-1, text=True) as parent:

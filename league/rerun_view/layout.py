@@ -5,6 +5,7 @@ A race is laid out like a broadcast, training as the whole track and charts.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import rerun.blueprint as rrb
@@ -32,6 +33,7 @@ EYES = ("left", "right")
 
 TRAIL_S = 2.5  # how much of its path each car trails [s]
 Play = Literal["playing", "following"]
+Room = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max [m]
 BACKGROUND = (18, 22, 28)
 CHASE_EYE = (-1.55, 0.0, 0.78)  # where the chase camera sits in the chase frame [m]
 CHASE_TARGET = (1.35, 0.0, 0.05)  # what it looks at, in the chase frame [m]
@@ -53,18 +55,14 @@ def obstacle(index: int) -> str:
 
 
 def broadcast(
-    num_cars: int,
-    names: tuple[str, ...],
-    room: tuple[float, float, float, float],
-    *,
-    cameras: bool = True,
-    live: bool = False,
+    names: Sequence[str], room: Room, *, cameras: bool, live: bool = False
 ) -> rrb.Blueprint:
-    """Return the layout of a race in a room from x_min, y_min to x_max, y_max [m].
+    """Return the layout of a race of drivers with these names.
 
     `cameras`: the recording holds the cars' eyes. `live`: follow the newest step instead of playing
     from the start.
     """
+    num_cars = len(names)
     scenes = rrb.Tabs(
         _scene(num_cars, CHASE, "Chase", CHASE_EYE, CHASE_TARGET),
         _overview(num_cars, room),
@@ -73,7 +71,7 @@ def broadcast(
     )
     left: list[Any] = [scenes]
     if cameras:
-        left.append(_eyes(num_cars, names))
+        left.append(_eyes(names))
     charts = rrb.Vertical(
         rrb.TextDocumentView(origin=TITLE, name="Order"),
         _chart(PLOT_SPEED, "Speed [m/s]"),
@@ -90,7 +88,7 @@ def broadcast(
     )
 
 
-def training(num_cars: int, room: tuple[float, float, float, float]) -> rrb.Blueprint:
+def training(num_cars: int, room: Room) -> rrb.Blueprint:
     """Return the layout of cars that learn: the whole track, and their metrics.
 
     It plays at its own pace and waits at the end for more, which is smoother than following the
@@ -123,7 +121,7 @@ def _layout(
     )
 
 
-def _overview(num_cars: int, room: tuple[float, float, float, float]) -> rrb.Spatial3DView:
+def _overview(num_cars: int, room: Room) -> rrb.Spatial3DView:
     x_min, y_min, x_max, y_max = room
     middle = ((x_min + x_max) / 2, (y_min + y_max) / 2)
     reach = max(x_max - x_min, (y_max - y_min) * 1.6)
@@ -153,15 +151,15 @@ def _scene(num_cars: int, origin: str, name: str, eye: Point, target: Point) -> 
     )
 
 
-def _eyes(num_cars: int, names: tuple[str, ...]) -> rrb.Container:
+def _eyes(names: Sequence[str]) -> rrb.Container:
     pairs = []
-    for slot, name in enumerate(names[:num_cars]):
+    for slot, name in enumerate(names):
         views = [
             rrb.Spatial2DView(origin=car(slot, "eyes", side), name=f"{name}: {side} eye")
             for side in EYES
         ]
         pairs.append(rrb.Horizontal(*views, name=name))
-    if num_cars <= 2:
+    if len(names) <= 2:
         return rrb.Horizontal(*pairs)
     return rrb.Tabs(*pairs, name="Eyes")
 

@@ -55,8 +55,8 @@ class Live:
 
         `window` is by default whether there is a display.
         """
-        drivers = tuple(entry.name for entry in spec.entries)
-        views = layout.broadcast(len(drivers), drivers, track.room, cameras=False, live=True)
+        names = [entry.name for entry in spec.entries]
+        views = layout.broadcast(names, track.room, cameras=False, live=True)
         # A race ends, so the viewer may keep all of it.
         return cls(spec, track, Stream(views, window=window, memory=None))
 

@@ -39,7 +39,7 @@ def save(replay: Replay, path: str | os.PathLike[str], *, cameras: bool = True) 
     spec = replay.spec
     identity = f"{spec.track}-{spec.kind}-{spec.seed}-{int(replay.columns.checksum[-1]):08x}"
     recording = rr.RecordingStream(layout.APPLICATION, recording_id=identity)
-    views = layout.broadcast(replay.num_cars, replay.names, replay.track.room, cameras=cameras)
+    views = layout.broadcast(replay.names, replay.track.room, cameras=cameras)
     with replacing(path, "the recording", ReplayError) as file:
         recording.save(file, default_blueprint=views)
         writer = SceneWriter(recording, replay.track, replay.names, replay.step_hz)
