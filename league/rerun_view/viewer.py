@@ -274,16 +274,13 @@ class Stream:
     def __init__(
         self, views: rrb.Blueprint, *, window: bool | None = None, memory: str | None = MEMORY
     ) -> None:
-        """Open a viewer with these views.
+        """Open a viewer with these views; ReplayError if it does not start.
 
         `window` is by default whether there is a display; `memory` is what the viewer keeps at
         most, and None leaves it to the viewer.
-
-        Raises:
-            ReplayError: the viewer does not start.
         """
+        # whether it is a window, which stays open, rather than a page that this program serves
         self.has_window = has_display() if window is None else window
-        """Whether it is a window, which stays open, rather than a page that this program serves."""
         port = free_port()
         self.address = f"rerun+http://{HOST}:{port}/proxy"  # where it can be watched
         self._home = tempfile.TemporaryDirectory(prefix="league-", ignore_cleanup_errors=True)
@@ -334,7 +331,7 @@ class Stream:
         self._child.wait()
 
 
-def _command(port: int, window: bool, memory: str | None) -> list[str]:
+def _command(port: int, window: bool, memory: str | None = MEMORY) -> list[str]:
     command = [str(rerun_program()), "--bind", HOST, "--port", str(port)]
     if memory is not None:
         command += ["--memory-limit", memory, "--server-memory-limit", memory]

@@ -253,13 +253,9 @@ class TrackSet:
         return gaps.reshape(ahead.shape)
 
     def _spread(self, index: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Return the track of each place, int64 (places.size,).
-
-        Raises:
-            IndexError: there is no such track, or not one for each world: compiled code would read
-                whatever lies in memory there.
-        """
+        """Return the track of each place, int64 (places.size,)."""
         index, number = np.asarray(index, np.int64), len(self.tracks)
+        # Compiled code would read whatever lies in memory there.
         known = index.size == 0 or (index.min() >= 0 and index.max() < number)
         if not known or index.shape != places.shape[: index.ndim]:
             raise IndexError(

@@ -151,8 +151,7 @@ def strip_moments(total_s: float, race_s: float) -> list[float]:
 def strip(replay: Replay, car: int) -> bytes:
     """Return what a car (from 0) saw in its race as JPEG: rows of pictures, the earliest first.
 
-    Raises:
-        ReplayError: the race has no such car.
+    ReplayError: the race has no such car.
     """
     if not 0 <= car < replay.num_cars:
         raise ReplayError(f"car {car + 1} is not in this race: give 1 to {replay.num_cars}")
