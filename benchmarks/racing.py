@@ -90,7 +90,8 @@ def _show(found: Threshold) -> None:
     )
     for pace, one in found.duels.items():
         rates = (f"{share:.2f}" for share in (one.passed, one.clean, one.held))
-        per_km = (f"{rate:.1f}" for rate in (one.contacts_per_km, one.hard_contacts_per_km))
+        near_km = max(one.near_km, 1e-9)
+        per_km = (f"{rate:.1f}" for rate in (one.contacts / near_km, one.hard_contacts / near_km))
         row(f"{pace:.3f}", *rates, *per_km, one.off_tracks)
 
 

@@ -57,16 +57,6 @@ class Duels:
     hard_contacts: int  # those hard enough for a penalty: from 0.3 m/s of closing speed on
     off_tracks: int  # how often the attacker left the road
 
-    @property
-    def contacts_per_km(self) -> float:
-        """Contacts that the attacker was to blame for, for each km driven near others."""
-        return self.contacts / max(self.near_km, 1e-9)
-
-    @property
-    def hard_contacts_per_km(self) -> float:
-        """Hard ones, likewise."""
-        return self.hard_contacts / max(self.near_km, 1e-9)
-
 
 @dataclass(frozen=True)
 class Threshold:

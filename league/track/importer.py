@@ -21,29 +21,22 @@ _CENTER_ERROR = 0.008  # largest distance of a given row from the fitted centrel
 _BORDER_ERROR = 0.002  # largest distance of a given row from the thinned border [m]
 _FIRST_KNOTS = 0.8  # distance of the first knots of the fit [m]
 _HEADER_FAULTS = (
-    ValueError,
-    SyntaxError,
-    TypeError,
-    KeyError,
-    EOFError,
-    OverflowError,
-    MemoryError,
-    RecursionError,
-    tokenize.TokenError,
+    *(ValueError, SyntaxError, TypeError, KeyError, EOFError, OverflowError, MemoryError),
+    *(RecursionError, tokenize.TokenError),
 )
 
 
-def read_npy(path: str | os.PathLike[str], name: str | None = None) -> Track:
+def read_npy(path: str | os.PathLike[str]) -> Track:
     """Import a community track file; nothing in it is executed and every number of it is checked.
 
     The array is floats of shape (N, 6) [m]: centre, inner border, outer border. Rows need not be
     perpendicular to the centreline: borders are taken as lines, and met by the centreline's
     normals. "Inner" may lie on either side of the driver. The rows' centres are kept as the track's
-    waypoints, for reward functions that count on their numbers. Without a name, the file's is used.
+    waypoints, for reward functions that count on their numbers. It is named as the file.
     """
     where = os.fspath(path)
     rows = _read_rows(where)
-    name = name or re.sub(r"\W+", "_", Path(where).stem, flags=re.ASCII).strip("_")[:64] or "track"
+    name = re.sub(r"\W+", "_", Path(where).stem, flags=re.ASCII).strip("_")[:64] or "track"
     return from_rows(rows, name, where)
 
 

@@ -99,7 +99,7 @@ def test_the_known_figures_of_community_tracks_come_out():
 @pytest.mark.parametrize("clockwise", [False, True])
 def test_the_inner_ring_becomes_the_border_on_the_right_side_of_the_driver(tmp_path, clockwise):
     path = _write(tmp_path / "ring.npy", _rows(clockwise=clockwise))
-    track = importer.read_npy(path, name="ring")
+    track = importer.read_npy(path)
     assert track.direction == ("clockwise" if clockwise else "counter-clockwise")
     inner, outer = (track.right, track.left) if clockwise else (track.left, track.right)
     assert np.linalg.norm(inner, axis=1).max() < np.linalg.norm(outer, axis=1).max()
