@@ -170,9 +170,9 @@ def _print_result(command: Race, finished: FinishedRace, replay: Path | None) ->
         return
     _print_classification(result)
     if finished.replay is not None and len(result.order) > 1:
-        from league.replay import commentary
+        from league.replay import broadcast
 
-        for line in commentary.shortened(commentary.of_replay(finished.replay), STORY_LINES):
+        for line in broadcast.shortened(broadcast.of_replay(finished.replay), STORY_LINES):
             print(textwrap.fill(line.stamped, tables.console().width, subsequent_indent="    "))
     if replay is not None:
         print(replay_line(replay))

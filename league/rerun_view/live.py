@@ -11,8 +11,7 @@ import rerun as rr
 
 from league import times
 from league.race_spec import Event, RaceResult, RaceSpec
-from league.replay.commentary import Commentator
-from league.replay.director import PACK, Director
+from league.replay.broadcast import PACK, Commentator, Director
 from league.rerun_view import layout, record
 from league.rerun_view.scene import SceneWriter, positions, rotation, speeds
 from league.rerun_view.viewer import Stream

@@ -15,7 +15,7 @@ import rerun as rr
 from league import times
 from league.atomic_file import replacing
 from league.errors import ReplayError
-from league.replay import Replay, commentary, director
+from league.replay import Replay, broadcast
 from league.rerun_view import layout
 from league.rerun_view.scene import EYE_CAMERA, NEUTRAL, SceneWriter, positions, rotation
 from league.sim import lidar
@@ -44,7 +44,7 @@ def save(replay: Replay, path: str | os.PathLike[str], *, cameras: bool = True) 
         recording.save(file, default_blueprint=views)
         writer = SceneWriter(recording, replay.track, replay.names, replay.step_hz)
         _send_race(writer, replay)
-        for line in commentary.of_replay(replay):
+        for line in broadcast.of_replay(replay):
             send_line(writer, line)
         _send_lidar(writer, replay)
         if cameras:
@@ -64,7 +64,7 @@ def _send_race(writer: SceneWriter, replay: Replay) -> None:
     writer.send_chart(layout.PLOT_SPEED, times, replay.speeds)
     writer.send_chart(layout.PLOT_GAP, times, replay.gaps_m)
     writer.send_chart(layout.PLOT_STEERING, times, np.degrees(columns.steering))
-    chase = director.chase_path(replay)
+    chase = broadcast.chase_path(replay)
     writer.send_poses(layout.CHASE, times, positions(chase.x, chase.y), rotation(chase.yaw))
     for slot in range(replay.num_cars):
         # A car that stands a penalty is transparent.
@@ -90,7 +90,7 @@ def _send_order(writer: SceneWriter, replay: Replay, fights: Sequence[str]) -> N
     writer.send_text(layout.TITLE, replay.times_s[changes], [texts[k] for k in changes])
 
 
-def send_line(writer: SceneWriter, line: commentary.Remark) -> None:
+def send_line(writer: SceneWriter, line: broadcast.Remark) -> None:
     """Add a line of the race's story to the list of events."""
     colour = NEUTRAL if line.kind == "start" else CAR_COLOURS[line.car]
     level = EVENT_LEVELS.get(line.kind, "INFO")

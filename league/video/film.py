@@ -18,7 +18,7 @@ from av.video.reformatter import ColorRange, Colorspace
 from league.atomic_file import replacing
 from league.errors import ReplayError
 from league.portable_math import direction
-from league.replay import Replay, director
+from league.replay import Replay, broadcast
 from league.sim.camera import painting
 from league.sim.camera.ground import floor_of
 from league.sim.camera.renderer import Painter
@@ -139,7 +139,7 @@ class Film:
         self._size = size
         self.ends_s = min(replay.decided_s + AFTER_FINISH_S, replay.duration_s)
         """When the classification is shown: shortly after the last fight is decided [s]."""
-        self._path = director.chase_path(replay)
+        self._path = broadcast.chase_path(replay)
         self._hud = Hud(replay, width, height, self._path.fights)
 
     def pictures(self, times_s: np.ndarray) -> list[np.ndarray]:

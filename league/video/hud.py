@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from league import times
-from league.replay import Replay, commentary
+from league.replay import Replay, broadcast
 from league.sim.camera.scene import CAR_COLOURS
 from league.sim.camera.scene_state import SceneState
 from league.sim.records import World
@@ -50,7 +50,7 @@ class Hud:
         self._order = replay.running_order
         self._gaps = replay.gaps_s
         self._speeds = replay.speeds
-        self._captions = [line for line in commentary.of_replay(replay) if line.kind not in SILENT]
+        self._captions = [line for line in broadcast.of_replay(replay) if line.kind not in SILENT]
         self._finish = {car.car: car for car in replay.result.order if car.finished}
         self._top_view = TopView(replay, self._px(330), self._px(230))
 
