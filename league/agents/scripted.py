@@ -33,7 +33,7 @@ from league.envs.state import FIELDS, INDEX, LOOKAHEADS, NEAR_OBSTACLES, NEIGHBO
 from league.jit import compiled, inner
 from league.portable_math import atan, clamp, f32
 from league.racing_line.racing_line import center_line, optimal_line
-from league.racing_line.speed_profile import spare_grip
+from league.racing_line.search import spare_grip
 from league.sim.config import CarConfig, SensorConfig
 from league.sim.settings import GRAVITY
 from league.track.track import Track, TrackSet

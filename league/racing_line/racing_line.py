@@ -1,7 +1,7 @@
 """The fastest line round a track: pure functions of track and car.
 
-`optimal_line` seeks it (search.py) and works out the speed the car can hold on it
-(speed_profile.py). The same track and car give the same bits on every machine.
+`optimal_line` seeks it and works out the speed the car can hold on it (search.py). The same track
+and car give the same bits on every machine.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ import numpy as np
 
 from league.jit import compiled, inner
 from league.portable_math import f32, heading_of
-from league.racing_line.search import fastest, sample
-from league.racing_line.speed_profile import CarLimits, speed_profile, travel_time
+from league.racing_line.search import CarLimits, fastest, sample, speed_profile, travel_time
 from league.sim.config import CarConfig
 from league.track.projection import frame_at
 from league.track.track import Track, TrackSet

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
+from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from league.replay.replay import JUMP
@@ -58,9 +59,9 @@ class SceneWriter:
         """Send the room, the cars' shapes, their eyes' places and chart styles."""
         assert len(names) <= len(CAR_COLOURS)
         self.recording, self._step_hz = recording, step_hz
-        self._last: np.ndarray | None = None
+        self._last: ndarray | None = None
         self._spin = np.zeros(len(names))
-        self._obstacles: np.ndarray | None = None
+        self._obstacles: ndarray | None = None
         recording.log(layout.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._mesh(layout.FLOOR, floor(track))
         self._mesh(layout.WALLS, walls(track), WALL_OPACITY)
@@ -115,7 +116,7 @@ class SceneWriter:
         lines = rr.SeriesLines(colors=list(colours), names=list(names), widths=1.8)
         self.recording.log(path, lines, static=True)
 
-    def send_cars(self, times_s: np.ndarray, cars: np.ndarray) -> None:
+    def send_cars(self, times_s: ndarray, cars: ndarray) -> None:
         """Send poses, turning wheels and trails of frames that follow those sent before.
 
         Race times [s] are (num_frames,), records of cars (num_frames, num_cars).
@@ -140,9 +141,7 @@ class SceneWriter:
             trail = rr.LineStrips3D.columns(strips=list(strips.astype(np.float32)))
             self.send(layout.trail(slot), times_s, trail)
 
-    def send_obstacles(
-        self, times_s: np.ndarray | None, obstacles: np.ndarray, *, bots: bool
-    ) -> None:
+    def send_obstacles(self, times_s: ndarray | None, obstacles: ndarray, *, bots: bool) -> None:
         """Send boxes, or cars for `bots`, unless they are where they were.
 
         Race times [s] are (num_frames,), records of obstacles (num_frames, num_obstacles); without
@@ -169,24 +168,22 @@ class SceneWriter:
             else:
                 self.send_poses(path, times_s, places[:, index], turns[:, index])
 
-    def send_poses(
-        self, path: str, times_s: np.ndarray, places: np.ndarray, turns: np.ndarray
-    ) -> None:
+    def send_poses(self, path: str, times_s: ndarray, places: ndarray, turns: ndarray) -> None:
         """Send positions [m], (num_frames, 3), and quaternions, (num_frames, 4)."""
         poses = rr.Transform3D.columns(translation=places, quaternion=turns)
         self.send(path, times_s, poses)
 
-    def send_chart(self, path: str, times_s: np.ndarray, values: np.ndarray) -> None:
+    def send_chart(self, path: str, times_s: ndarray, values: ndarray) -> None:
         """Send a line for each car to a chart, (num_frames, num_cars)."""
         scalars = rr.Scalars.columns(scalars=values.astype(np.float32).reshape(-1))
         self.send(path, times_s, scalars.partition([values.shape[1]] * len(values)))
 
-    def send(self, path: str, times_s: np.ndarray, columns: rr.ComponentColumnList) -> None:
+    def send(self, path: str, times_s: ndarray, columns: rr.ComponentColumnList) -> None:
         """Send columns at race times [s]."""
         times = [rr.TimeColumn(layout.TIMELINE, duration=times_s)]
         self.recording.send_columns(path, times, columns)
 
-    def send_text(self, path: str, times: np.ndarray, texts: Sequence[str]) -> None:
+    def send_text(self, path: str, times: ndarray, texts: Sequence[str]) -> None:
         """Send Markdown that is shown from some times on."""
         media = [rr.MediaType.MARKDOWN] * len(texts)
         self.send(path, times, rr.TextDocument.columns(text=texts, media_type=media))
@@ -199,21 +196,19 @@ class SceneWriter:
         self.send(layout.EVENTS, np.array([time_s]), line)
 
 
-def positions(x: np.ndarray, y: np.ndarray, z: np.ndarray | float = 0.0) -> np.ndarray:
+def positions(x: ndarray, y: ndarray, z: ndarray | float = 0.0) -> ndarray:
     """Return positions, (..., 3)."""
     return np.stack([x, y, np.broadcast_to(z, x.shape)], axis=-1)
 
 
-def rotation(
-    yaw: np.ndarray, pitch: np.ndarray | float = 0.0, roll: np.ndarray | float = 0.0
-) -> np.ndarray:
+def rotation(yaw: ndarray, pitch: ndarray | float = 0.0, roll: ndarray | float = 0.0) -> ndarray:
     """Return quaternions of turns about z, then the new y, then the new x [rad], (..., 4)."""
     angles = np.stack(np.broadcast_arrays(yaw, pitch, roll), axis=-1)
     turns = Rotation.from_euler("ZYX", angles.reshape(-1, 3)).as_quat()
     return turns.reshape(*angles.shape[:-1], 4)
 
 
-def wheel_spin(cars: np.ndarray, step_hz: int) -> np.ndarray:
+def wheel_spin(cars: ndarray, step_hz: int) -> ndarray:
     """Return how far each car's wheels have rolled since the first frame [rad].
 
     Cars are records, (num_frames, num_cars). A frozen car's wheels stand still; sliding counts as
@@ -225,7 +220,7 @@ def wheel_spin(cars: np.ndarray, step_hz: int) -> np.ndarray:
     return np.concatenate([np.zeros_like(rolled[:1]), turns])
 
 
-def speeds(cars: np.ndarray) -> np.ndarray:
+def speeds(cars: ndarray) -> ndarray:
     """Return speeds of records of cars [m/s], of the same shape."""
     return np.hypot(cars["velocity_x"], cars["velocity_y"])
 
@@ -234,10 +229,10 @@ def speeds(cars: np.ndarray) -> np.ndarray:
 class Mesh:
     """Triangles with flat shading."""
 
-    vertices: np.ndarray  # (num_vertices, 3) float32
-    triangles: np.ndarray  # (num_triangles, 3) uint32
-    normals: np.ndarray  # (num_vertices, 3) float32
-    colours: np.ndarray  # (num_vertices, 4) uint8 sRGB with alpha
+    vertices: ndarray  # (num_vertices, 3) float32
+    triangles: ndarray  # (num_triangles, 3) uint32
+    normals: ndarray  # (num_vertices, 3) float32
+    colours: ndarray  # (num_vertices, 4) uint8 sRGB with alpha
 
 
 def joined(*meshes: Mesh) -> Mesh:
@@ -323,7 +318,7 @@ def solid_mesh(solid: Solid, colour: Rgb, scale: tuple[float, float, float] = (1
     return joined(*faces)
 
 
-def _polygon(corners: np.ndarray, colour: Rgb, *, inside: np.ndarray) -> Mesh:
+def _polygon(corners: ndarray, colour: Rgb, *, inside: ndarray) -> Mesh:
     """Return a convex polygon with its normal pointing away from a point inside the body."""
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     normal = normal / np.linalg.norm(normal)
@@ -334,7 +329,7 @@ def _polygon(corners: np.ndarray, colour: Rgb, *, inside: np.ndarray) -> Mesh:
     return _mesh(corners, fan, np.broadcast_to(normal, corners.shape), colour)
 
 
-def _mesh(vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray, colour: Rgb) -> Mesh:
+def _mesh(vertices: ndarray, triangles: ndarray, normals: ndarray, colour: Rgb) -> Mesh:
     return Mesh(
         vertices=np.ascontiguousarray(vertices, dtype=np.float32),
         triangles=np.ascontiguousarray(triangles, dtype=np.uint32),
@@ -343,7 +338,7 @@ def _mesh(vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray, colo
     )
 
 
-def _flat(quads: np.ndarray, height: float, colour: Rgb) -> Mesh:
+def _flat(quads: ndarray, height: float, colour: Rgb) -> Mesh:
     """Return quadrilaterals on the floor, (K, 4, 2)."""
     count = len(quads)
     vertices = np.concatenate([quads.reshape(-1, 2), np.full((4 * count, 1), height)], axis=1)
@@ -351,7 +346,7 @@ def _flat(quads: np.ndarray, height: float, colour: Rgb) -> Mesh:
     return _mesh(vertices, triangles, np.broadcast_to(UP, vertices.shape), colour)
 
 
-def _room(track: Track) -> np.ndarray:
+def _room(track: Track) -> ndarray:
     """Return the corners of the floor [m], (4, 2)."""
     x_min, y_min, x_max, y_max = track.room
     return np.array([[x_min, y_min], [x_max, y_min], [x_max, y_max], [x_min, y_max]])

@@ -279,13 +279,9 @@ _HINTS = {
     "width": "give a number from 0.3 to 4 m",
     "line": "give inside or outside",
     "line_width": "give a number from 0 to 0.3 m",
-    "start": _POINT,
     "colours": "give each colour as [red, green, blue], whole numbers from 0 to 255",
     "origin": "give a text of at most 2000 characters",
-    "points": _POINT,
-    "left": _POINT,
-    "right": _POINT,
-    "waypoints": _POINT,
+    **dict.fromkeys(("start", "points", "left", "right", "waypoints"), _POINT),
 }
 _LENGTHS = {
     "points": f"3 to {MAX_POINTS}",
