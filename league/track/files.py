@@ -43,7 +43,7 @@ class TrackFile(BaseModel):
     # which way round it is driven, as the order of the points says; `open` does not return
     direction: Literal["counter-clockwise", "clockwise", "open"]
     width: Annotated[Number, Field(ge=0.3, le=4.0)]  # distance between the borders
-    line: Literal["inside", "outside"]  # where the white line lies: on the road, or beside it
+    line: Literal["inside", "outside"]  # whether the white line lies inside the border, on the road
     line_width: Annotated[Number, Field(ge=0.0, le=0.3)] = 0.076
     start: Point | None = None  # where the start line crosses the centreline; None: points[0]
     colours: dict[
