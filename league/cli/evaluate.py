@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import tyro
+from tyro.conf import Positional, arg, subcommand
 
 from league import times
 from league.cli import tables
@@ -36,52 +36,41 @@ if TYPE_CHECKING:
     from league.racing.trace import Trace
     from league.track.track import TrackSet
 
-_PRINTED = 5
-"""Last lines of what a reward function printed that are shown."""
+_PRINTED = 5  # Last lines of what a reward function printed that are shown.
 
 
 @dataclass
 class Evaluate:
     """Drive laps from the start line and print trial, time, % completed, off-tracks, crashes."""
 
-    driver: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="DRIVER")]
+    driver: Annotated[Positional[str], arg(metavar="DRIVER")]
     """A checkpoint (FILE.pt), or the name of a scripted driver (see `league drivers`)."""
     track: tuple[str, ...] = ("reinvent_2018",)
     """Names of tracks (see `league tracks`), or track files; one table for each."""
     kind: Literal["auto", "time_trial", "obstacle_avoidance"] = "auto"
     """Kind of race; auto: a time trial, or obstacle avoidance where obstacles were asked for."""
-    laps: int = 3
-    """Laps of each run."""
-    trials: int = 1
-    """Runs from the start line, with seeds counting up."""
+    laps: int = 3  # Laps of each run.
+    trials: int = 1  # Runs from the start line, with seeds counting up.
     variation: float = 1.0
     """How far runs differ: 1 by up to 2 % in grip and mass, 0.3 deg of steering and 0.5 m/s at the
     start; 0: not at all."""
-    episode: bool = False
-    """End a lap at the first mistake, as training does, instead of a penalty."""
-    seed: int = 0
-    """Seed of obstacles and noise of the first run."""
-    solver: Literal["bullet", "planar"] = "bullet"
-    """Physics."""
+    episode: bool = False  # End a lap at the first mistake, as training does, instead of a penalty.
+    seed: int = 0  # Seed of obstacles and noise of the first run.
+    solver: Literal["bullet", "planar"] = "bullet"  # Physics.
     obstacles: int | None = None
     """Boxes or bots on the track; by default 6 where --kind obstacle_avoidance or --bots asks for
     some, else none."""
-    bots: bool = False
-    """Slow bot cars that change lanes instead of boxes."""
-    fixed_obstacles: bool = False
-    """Obstacles evenly spaced instead of at random places."""
-    opponents: tuple[str, ...] = ()
-    """Drivers or checkpoints to race against; they start behind."""
+    bots: bool = False  # Slow bot cars that change lanes instead of boxes.
+    fixed_obstacles: bool = False  # Obstacles evenly spaced instead of at random places.
+    opponents: tuple[str, ...] = ()  # Drivers or checkpoints to race against; they start behind.
     trace: Path | None = None
     """Write every step to this CSV, with the 19 columns that community log tools read; or into this
     folder, NAME.run/simtrace for one, in the layout in which they look for it."""
     reward: str = "progress"
     """What the trace's reward column holds: centerline, progress, race or racing_line, or a reward
     file (FILE.py)."""
-    replay: str = "none"
-    """Folder or .race file for a replay of the first run; "none" keeps none."""
-    json: bool = False
-    """Print JSON."""
+    replay: str = "none"  # Folder or .race file for a replay of the first run; "none" keeps none.
+    json: bool = False  # Print JSON.
 
     def run(self) -> None:
         from league.racing.trace import Trace, write_evaluation
@@ -248,13 +237,12 @@ def summary(done: Evaluation) -> str:
 class CheckReward:
     """Try a DeepRacer reward file on recorded drives of every kind of race."""
 
-    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE.py")]
+    file: Annotated[Positional[Path], arg(metavar="FILE.py")]
     """The Python file that defines reward_function(params); it is your own program, and is run."""
     kind: RaceKind | None = None
     """Kind of race that it is written for; by default it is tried in every kind, and may need
     objects."""
-    json: bool = False
-    """Print JSON."""
+    json: bool = False  # Print JSON.
 
     def run(self) -> int:
         """Run the command; 1 if the function fails anywhere."""
@@ -272,16 +260,13 @@ class CheckReward:
 class ScoreReplay:
     """Score a recorded race with another reward function, and plot it with a second one."""
 
-    replay: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="REPLAY")]
-    """The replay file."""
-    reward: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="REWARD")]
+    replay: Annotated[Positional[Path], arg(metavar="REPLAY")]  # The replay file.
+    reward: Annotated[Positional[str], arg(metavar="REWARD")]
     """A reward file (FILE.py), or centerline, progress, race or racing_line."""
-    against: str = "progress"
-    """The second one: another reward file, or a built-in reward."""
+    against: str = "progress"  # The second one: another reward file, or a built-in reward.
     out: Path | None = None
     """Where to write the picture; by default next to the replay, with the ending .reward.png."""
-    json: bool = False
-    """Print JSON."""
+    json: bool = False  # Print JSON.
 
     def run(self) -> None:
         from league import replay as replays
@@ -318,8 +303,7 @@ class Rewards:
     """Check a reward function, or score a recorded race with one."""
 
     command: (
-        Annotated[CheckReward, tyro.conf.subcommand("check")]
-        | Annotated[ScoreReplay, tyro.conf.subcommand("score")]
+        Annotated[CheckReward, subcommand("check")] | Annotated[ScoreReplay, subcommand("score")]
     )
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import tyro
+from tyro.conf import Positional, arg, subcommand
 
 from league.atomic_file import replacing
 from league.cli import tables
@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 class ListTracks:
     """List the tracks that ship with the league."""
 
-    json: bool = False
-    """Print JSON."""
+    json: bool = False  # Print JSON.
 
     def run(self) -> None:
         from league.track import files
@@ -48,10 +47,8 @@ class ListTracks:
 class ShowTrack:
     """Draw a track to a PNG, with start line and direction."""
 
-    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="TRACK")]
-    """Name of a track, or a track file."""
-    out: Path | None = None
-    """Where to write the picture; by default NAME.png here."""
+    name: Annotated[Positional[str], arg(metavar="TRACK")]  # Name of a track, or a track file.
+    out: Path | None = None  # Where to write the picture; by default NAME.png here.
 
     def run(self) -> None:
         from league.track import files, markings
@@ -72,7 +69,7 @@ class ShowTrack:
 class ImportTracks:
     """Turn community .npy tracks (N x 6 waypoints) into track files."""
 
-    files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE...")]
+    files: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE...")]
     """The .npy files, or folders of them."""
     out: Path | None = None
     """Where to write the track, by default NAME.yaml here; for several tracks a folder."""
@@ -119,20 +116,14 @@ class ImportTracks:
 class GenerateTracks:
     """Draw new tracks from seeds, for training."""
 
-    seed: int = 0
-    """Seed of the first track."""
-    count: int = 1
-    """How many, with seeds counting up."""
-    out: Path = Path("generated")
-    """Folder to write to."""
-    min_radius: float = 0.5
-    """Smallest radius of the centreline [m]."""
+    seed: int = 0  # Seed of the first track.
+    count: int = 1  # How many, with seeds counting up.
+    out: Path = Path("generated")  # Folder to write to.
+    min_radius: float = 0.5  # Smallest radius of the centreline [m].
     width: tuple[float, float] = (0.6, 1.1)
     """Smallest and largest width of the road [m]; equal for exactly that one."""
-    length: tuple[float, float] = (15.0, 40.0)
-    """Smallest and largest length [m]."""
-    direction: Literal["any", "counter-clockwise", "clockwise"] = "any"
-    """Which way round."""
+    length: tuple[float, float] = (15.0, 40.0)  # Smallest and largest length [m].
+    direction: Literal["any", "counter-clockwise", "clockwise"] = "any"  # Which way round.
 
     def run(self) -> None:
         from league.track import files, generate
@@ -158,10 +149,10 @@ class Tracks:
     """List, draw, import and generate tracks."""
 
     command: (
-        Annotated[ListTracks, tyro.conf.subcommand("list")]
-        | Annotated[ShowTrack, tyro.conf.subcommand("show")]
-        | Annotated[ImportTracks, tyro.conf.subcommand("import")]
-        | Annotated[GenerateTracks, tyro.conf.subcommand("generate")]
+        Annotated[ListTracks, subcommand("list")]
+        | Annotated[ShowTrack, subcommand("show")]
+        | Annotated[ImportTracks, subcommand("import")]
+        | Annotated[GenerateTracks, subcommand("generate")]
     ) = field(default_factory=ListTracks)
 
 
@@ -185,10 +176,9 @@ class Drivers:
 class ShowCard:
     """Show a checkpoint's card: sensors, network, where it was trained and how well it drove."""
 
-    checkpoint: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="CHECKPOINT")]
+    checkpoint: Annotated[Positional[str], arg(metavar="CHECKPOINT")]
     """The checkpoint (FILE.pt), or a name in the garage."""
-    json: bool = False
-    """Print JSON."""
+    json: bool = False  # Print JSON.
 
     def run(self) -> None:
         from league.agents import checkpoint, roster
@@ -205,12 +195,10 @@ class ShowCard:
 class Export(OnLeague):
     """Write a checkpoint's network as ONNX, or a league's results as CSV or JSON."""
 
-    checkpoint: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="CHECKPOINT")] = (
-        None
-    )
+    checkpoint: Annotated[Positional[str | None], arg(metavar="CHECKPOINT")] = None
     """The checkpoint (FILE.pt) or a name in the garage, for a physical car or any other runtime;
     none for a league."""
-    onnx: Annotated[tuple[Path, ...] | None, tyro.conf.arg(metavar="[FILE]")] = None
+    onnx: Annotated[tuple[Path, ...] | None, arg(metavar="[FILE]")] = None
     """Write ONNX, the default for a checkpoint; without FILE next to the checkpoint (for a name in
     the garage: here), with the ending .onnx."""
     csv: Path | None = None

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Optional
 
 import tyro
+from tyro.conf import Positional, arg
 
 from league import times
 from league.atomic_file import check_writable
@@ -28,8 +29,7 @@ if TYPE_CHECKING:
     from league.sim.records import World
     from league.track.track import Track
 
-STORY_LINES = 12
-"""Lines of the race's story that are printed at most."""
+STORY_LINES = 12  # Lines of the race's story that are printed at most.
 
 
 class Drivers(tuple[str, ...]):
@@ -53,23 +53,18 @@ DRIVERS = tyro.constructors.PrimitiveConstructorSpec(
 class Race:
     """Race drivers against each other, or one alone, and keep a replay."""
 
-    drivers: tyro.conf.Positional[Annotated[Drivers, DRIVERS, tyro.conf.arg(metavar="DRIVER...")]]
+    drivers: Positional[Annotated[Drivers, DRIVERS, arg(metavar="DRIVER...")]]
     """Names of scripted drivers (see `league drivers`) or checkpoints (FILE.pt), in grid order."""
-    track: str = "reinvent_2018"
-    """Name of a track (see `league tracks`), or a track file."""
+    track: str = "reinvent_2018"  # Name of a track (see `league tracks`), or a track file.
     kind: Literal["auto", "time_trial", "obstacle_avoidance", "head_to_head"] = "auto"
     """Kind of race; auto: alone a time trial, or obstacle avoidance where obstacles were asked for;
     together head-to-head."""
-    laps: int = 3
-    """Laps to drive."""
-    seed: int = 0
-    """Seed of obstacles and noise."""
-    solver: Literal["bullet", "planar"] = "bullet"
-    """Physics."""
+    laps: int = 3  # Laps to drive.
+    seed: int = 0  # Seed of obstacles and noise.
+    solver: Literal["bullet", "planar"] = "bullet"  # Physics.
     ranking: Literal["total", "best", "average"] = "total"
     """Order by total time, best lap, or best mean of consecutive laps."""
-    average_laps: int = 2
-    """How many consecutive laps the mean of --ranking average is of."""
+    average_laps: int = 2  # How many consecutive laps the mean of --ranking average is of.
     rules: Literal["league", "deepracer"] = "league"
     """Who is to blame and what it costs: as docs/rules.md has it, or as in the original."""
     format: Literal["standing", "reverse", "qualifying", "pursuit"] = "standing"
@@ -78,18 +73,13 @@ class Race:
     obstacles: Optional[int] = None  # noqa: UP045  # as `Drivers`
     """Boxes or bots on the track, among which any number of cars drives; by default 6 where --kind
     obstacle_avoidance or --bots asks for some, else none."""
-    bots: bool = False
-    """Slow bot cars that change lanes instead of boxes."""
-    fixed_obstacles: bool = False
-    """Obstacles evenly spaced instead of at random places."""
+    bots: bool = False  # Slow bot cars that change lanes instead of boxes.
+    fixed_obstacles: bool = False  # Obstacles evenly spaced instead of at random places.
     variation: float = 1.0
     """How much the cars differ, drawn from the seed; 1 is two percent of grip, 0: not at all."""
-    replay: str = "replays"
-    """Folder or .race file for the replay; "none" keeps none."""
-    watch: bool = False
-    """Stream the race live to the Rerun viewer."""
-    json: bool = False
-    """Print the result as JSON."""
+    replay: str = "replays"  # Folder or .race file for the replay; "none" keeps none.
+    watch: bool = False  # Stream the race live to the Rerun viewer.
+    json: bool = False  # Print the result as JSON.
 
     def run(self) -> None:
         from league.racing import race

@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
+from tyro.conf import Positional, arg
 
 from league import times
 from league.cli import tables
@@ -20,26 +20,21 @@ if TYPE_CHECKING:
     from league.replay import Replay
 
 
-FOLDER = Path("replays")
-"""Where races leave their replays."""
+FOLDER = Path("replays")  # Where races leave their replays.
 
 
 @dataclass
 class View(OnLeague):
     """Open a replay, or a race of a league, in the Rerun viewer."""
 
-    replay: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[REPLAY]")] = None
+    replay: Annotated[Positional[Path | None], arg(metavar="[REPLAY]")] = None
     """The replay file, or the number of a league's heat; by default the newest in replays/."""
-    race: int = 1
-    """Which race of the heat."""
+    race: int = 1  # Which race of the heat.
     save: Path | None = None
     """Only write the heat's replay to this file, for `league video` or `league verify`."""
-    web: bool = False
-    """Serve the web viewer on this machine only and print its address."""
-    rrd: Path | None = None
-    """Only write the Rerun recording to this file."""
-    cameras: bool = True
-    """Include what each car saw."""
+    web: bool = False  # Serve the web viewer on this machine only and print its address.
+    rrd: Path | None = None  # Only write the Rerun recording to this file.
+    cameras: bool = True  # Include what each car saw.
 
     def run(self) -> int:
         import tempfile
@@ -71,10 +66,8 @@ class View(OnLeague):
 class ListReplays:
     """List the recorded races of a folder, the newest first."""
 
-    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="[FOLDER]")] = FOLDER
-    """Where to look."""
-    json: bool = False
-    """Print JSON."""
+    folder: Annotated[Positional[Path], arg(metavar="[FOLDER]")] = FOLDER  # Where to look.
+    json: bool = False  # Print JSON.
 
     def run(self) -> None:
         from league import replay as replays
@@ -105,10 +98,8 @@ class ListReplays:
 class Video:
     """Render a replay to an MP4: chase camera, top view, lap counter, running order."""
 
-    replay: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="REPLAY")]
-    """The replay file."""
-    out: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE.mp4")]
-    """The .mp4 file to write."""
+    replay: Annotated[Positional[Path], arg(metavar="REPLAY")]  # The replay file.
+    out: Annotated[Positional[Path], arg(metavar="FILE.mp4")]  # The .mp4 file to write.
 
     def run(self) -> None:
         from league import replay as replays
@@ -130,8 +121,7 @@ class Video:
 class Verify:
     """Run a recorded race again and report whether every step agrees."""
 
-    replay: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="REPLAY")]
-    """The replay file."""
+    replay: Annotated[Positional[Path], arg(metavar="REPLAY")]  # The replay file.
     policies: tuple[Path, ...] = ()
     """Checkpoints of the policies that raced, if they are no longer where they were."""
 

@@ -12,8 +12,7 @@ if TYPE_CHECKING:
 
 WORDS = ("title", "driven", "how it drives", "owner", "winner", "grid", "scopes")
 """Heads of columns of words, whichever place they have."""
-NAME_WIDTH = 24
-"""Characters of a name in a line, where there is no room for whole ones."""
+NAME_WIDTH = 24  # Characters of a name in a line, where there is no room for whole ones.
 
 
 def spelled(text: str) -> str:

@@ -71,14 +71,10 @@ class Train:
     """A hyperparameters.json with DeepRacer's names; flags take precedence."""
     resume: bool = False
     """Go on with the run of --out as it was started; --minutes or --steps may give it more."""
-    overwrite: bool = False
-    """Start a new run where --out or its run exist already."""
-    plain: bool = False
-    """One line now and then instead of the live page."""
-    watch: bool = False
-    """Stream a few cars to the Rerun viewer."""
-    tensorboard: bool = True
-    """Write TensorBoard scalars into the run's folder."""
+    overwrite: bool = False  # Start a new run where --out or its run exist already.
+    plain: bool = False  # One line now and then instead of the live page.
+    watch: bool = False  # Stream a few cars to the Rerun viewer.
+    tensorboard: bool = True  # Write TensorBoard scalars into the run's folder.
 
     @property
     def folder(self) -> Path:

@@ -22,8 +22,7 @@ from league.training.config import PpoConfig, RunConfig, TrainConfig, read
 if TYPE_CHECKING:
     from league.cli.train import Train
 
-_WORK = 16_384
-"""Decisions of usual settings that take 10 to 20 s on two cores."""
+_WORK = 16_384  # Decisions of usual settings that take 10 to 20 s on two cores.
 _SHORT_MIN, _SHORT_STEPS, _FEW_WORLDS = 2.0, 65_536, 16
 """Budgets up to which a run is short, and its worlds: few, for an update after few decisions."""
 _STEPS_OF_LAPS = 256

@@ -27,25 +27,19 @@ from league.sim.records import World
 from league.track import files
 from league.track.track import Track, TrackSet
 
-TIME_LIMIT_S = 5.0
-"""Longest call, as in the original's validator [s]."""
+TIME_LIMIT_S = 5.0  # Longest call, as in the original's validator [s].
 
 
 @dataclass(frozen=True)
 class DriveReport:
     """How a reward file did on one drive."""
 
-    title: str
-    """What the drive shows."""
+    title: str  # What the drive shows.
     kind: str
-    calls: int
-    """Steps rewarded."""
-    rewards: tuple[float, ...]
-    """Reward of each step, up to the first failure."""
-    failure: str | None
-    """Where and how it failed, or None."""
-    median_us: float
-    """Median time of a call [us], the user's own code alone."""
+    calls: int  # Steps rewarded.
+    rewards: tuple[float, ...]  # Reward of each step, up to the first failure.
+    failure: str | None  # Where and how it failed, or None.
+    median_us: float  # Median time of a call [us], the user's own code alone.
 
     @property
     def mean(self) -> float:
@@ -59,12 +53,9 @@ class Report:
 
     source: RewardFile
     drives: tuple[DriveReport, ...]
-    keys: tuple[str, ...]
-    """Keys of `params` it has read, by name."""
-    unknown_keys: tuple[str, ...]
-    """Keys it has asked for that do not exist."""
-    warnings: tuple[str, ...]
-    """Advice."""
+    keys: tuple[str, ...]  # Keys of `params` it has read, by name.
+    unknown_keys: tuple[str, ...]  # Keys it has asked for that do not exist.
+    warnings: tuple[str, ...]  # Advice.
 
     @property
     def needs_objects(self) -> bool:
@@ -224,11 +215,9 @@ _TRACK = "reinvent_2018"
 class Drive:
     """One scripted drive, as reward functions see it."""
 
-    title: str
-    """What it shows."""
+    title: str  # What it shows.
     kind: RaceKind
-    params: list[Params]
-    """Argument of the function, step by step."""
+    params: list[Params]  # Argument of the function, step by step.
 
 
 class _ParamsRecorder:

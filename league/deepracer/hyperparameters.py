@@ -14,8 +14,7 @@ from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError
 from league.deepracer.model_metadata import load_json, reason
 from league.errors import ConfigError, brief, first_problem, nearest_names
 
-_WORDS = {"mean squared error": "mse", "e_greedy": "e-greedy"}
-"""Other spellings of words in use."""
+_WORDS = {"mean squared error": "mse", "e_greedy": "e-greedy"}  # Other spellings of words in use.
 
 
 class Hyperparameters(BaseModel):
@@ -23,10 +22,8 @@ class Hyperparameters(BaseModel):
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False, loc_by_alias=False)
 
-    batch_size: int | None = Field(None, ge=1, le=8192)
-    """Samples in one minibatch."""
-    num_epochs: int | None = Field(None, ge=1, le=100)
-    """Passes over the collected samples."""
+    batch_size: int | None = Field(None, ge=1, le=8192)  # Samples in one minibatch.
+    num_epochs: int | None = Field(None, ge=1, le=100)  # Passes over the collected samples.
     lr: float | None = Field(
         None, ge=1e-8, le=0.1, validation_alias=AliasChoices("lr", "learning_rate")
     )
@@ -34,22 +31,17 @@ class Hyperparameters(BaseModel):
         None, ge=0, le=1, validation_alias=AliasChoices("beta_entropy", "entropy")
     )
     """Weight of the entropy."""
-    discount_factor: float | None = Field(None, ge=0, le=1)
-    """Value of a reward one step later."""
-    loss_type: Literal["mse", "huber"] | None = None
-    """Loss of the value function."""
+    discount_factor: float | None = Field(None, ge=0, le=1)  # Value of a reward one step later.
+    loss_type: Literal["mse", "huber"] | None = None  # Loss of the value function.
     num_episodes_between_training: int | None = Field(None, ge=1, le=10_000)
     """Episodes collected before each update."""
     exploration_type: Literal["categorical", "e-greedy"] | None = None
     """How discrete actions are explored."""
-    e_greedy_value: float | None = Field(None, ge=0, le=1)
-    """Share of random actions."""
-    epsilon_steps: int | None = Field(None, ge=1, le=10**9)
-    """Steps over which that share falls."""
+    e_greedy_value: float | None = Field(None, ge=0, le=1)  # Share of random actions.
+    epsilon_steps: int | None = Field(None, ge=1, le=10**9)  # Steps over which that share falls.
     stack_size: int | None = Field(None, ge=1, le=16)
     """Frames seen at once; the original knows 1 only."""
-    term_cond_max_episodes: int | None = Field(None, ge=1, le=10**9)
-    """Stop after so many episodes."""
+    term_cond_max_episodes: int | None = Field(None, ge=1, le=10**9)  # Stop after so many episodes.
     term_cond_avg_score: float | None = Field(None, ge=-1e9, le=1e9)
     """Stop at this mean reward of an episode."""
     sac_alpha: float | None = Field(None, ge=0, le=1)

@@ -34,10 +34,8 @@ _CAMERAS = {
 }
 _LIDARS = ("LIDAR", "SECTOR_LIDAR", "DISCRETIZED_SECTOR_LIDAR")
 _SECTORS = (1, 2, 4, 8, 16, 32, 64)
-_FASTEST_ASKED = 8.0
-"""Fastest speed of an action space in 2019 [m/s]."""
-_LIDAR_REACH = 1.0
-"""Range of the original's plain LIDAR [m]."""
+_FASTEST_ASKED = 8.0  # Fastest speed of an action space in 2019 [m/s].
+_LIDAR_REACH = 1.0  # Range of the original's plain LIDAR [m].
 MAX_BYTES = 1_000_000
 
 Number = Annotated[float, Field(strict=False, allow_inf_nan=False)]
@@ -47,18 +45,15 @@ Number = Annotated[float, Field(strict=False, allow_inf_nan=False)]
 class Metadata:
     """The content of a model_metadata.json."""
 
-    action_space: ActionSpace
-    """What the policy chooses from."""
-    sensors: SensorConfig
-    """What its car carries."""
+    action_space: ActionSpace  # What the policy chooses from.
+    sensors: SensorConfig  # What its car carries.
     version: str = "1"
     """Version of the original's simulator, "1" to "6"; the physics here is the same for all."""
     training_algorithm: Algorithm = "clipped_ppo"
     """How it was trained; the league trains by clipped PPO only."""
     neural_network: str = NETWORKS[0]
     """Which of the original's networks; the league's training settings choose its own."""
-    notes: tuple[str, ...] = ()
-    """Differences between the file and what the league does."""
+    notes: tuple[str, ...] = ()  # Differences between the file and what the league does.
 
 
 class _Strict(BaseModel):

@@ -61,12 +61,9 @@ Point = tuple[float, float]
 class Rows(NamedTuple):
     """The params of some cars of some worlds."""
 
-    world: list[int]
-    """World of each row."""
-    car: list[int]
-    """Car of each row."""
-    params: list[Params]
-    """Argument of each row's function; no two share a list."""
+    world: list[int]  # World of each row.
+    car: list[int]  # Car of each row.
+    params: list[Params]  # Argument of each row's function; no two share a list.
 
 
 class ParamsBuilder:
@@ -172,12 +169,10 @@ class Roads:
     A track's own waypoints are kept as they are; others are spaced evenly along the centreline.
     """
 
-    records: np.ndarray
-    """ROAD of each track."""
+    records: np.ndarray  # ROAD of each track.
     own_waypoints: np.ndarray
     """Waypoints of the tracks that have their own [m], one track after another, (n, 2)."""
-    clockwise: list[bool]
-    """Whether each is driven clockwise."""
+    clockwise: list[bool]  # Whether each is driven clockwise.
     waypoints: tuple[list[Point], ...]
     """Each track's, in driving order; closed tracks repeat the first point as the last. A reward
     function gets a copy of the list; its points are tuples, which it cannot change."""

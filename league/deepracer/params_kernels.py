@@ -17,21 +17,17 @@ from league.track.projection import project
 (DISTANCE, PROJECTION, WIDTH, LENGTH, PROGRESS, SIM_TIME, STEPS) = range(7, 14)
 (IS_LEFT, ALL_ON_ROAD, NONE_ON_ROAD, CRASHED) = range(14, 18)
 (TRACK, BEHIND, FOLLOWING, LAST_OBJECT, NEXT_OBJECT, SEES_NEXT) = range(18, 24)
-NUM_OWN = 24
-"""Columns about a car itself."""
+NUM_OWN = 24  # Columns about a car itself.
 
 (OBJECT_S, OBJECT_DISTANCE, OBJECT_HEADING, OBJECT_SPEED) = range(4)
 (OBJECT_X, OBJECT_Y, OBJECT_IS_LEFT) = range(4, 7)
-NUM_OF_OBJECT = 7
-"""Rows about each object."""
+NUM_OF_OBJECT = 7  # Rows about each object.
 
 f64 = np.float64
 _DEGREES = 180.0 / math.pi
 _BELOW_100 = math.nextafter(100.0, 0.0)
-_NEAR, _FAR = 0.2, 300.0
-"""Depths between which the original's camera looks [m]."""
-_HEIGHT = 0.2
-"""Assumed height of an object [m]: a car is 0.19, a box 0.25."""
+_NEAR, _FAR = 0.2, 300.0  # Depths between which the original's camera looks [m].
+_HEIGHT = 0.2  # Assumed height of an object [m]: a car is 0.19, a box 0.25.
 
 # Records, because each array or number that is passed costs a quarter of a microsecond.
 ROAD = np.dtype(

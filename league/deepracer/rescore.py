@@ -27,12 +27,9 @@ from league.sim.records import NOBODY, VERDICT, World
 class Score:
     """The rewards of a recorded race."""
 
-    name: str
-    """Name of the reward."""
-    rewards: np.ndarray
-    """For each step and car, (num_steps, num_cars); 0 after a car's finish."""
-    raced: np.ndarray
-    """Steps each car raced before its finish, int64, (num_cars,)."""
+    name: str  # Name of the reward.
+    rewards: np.ndarray  # For each step and car, (num_steps, num_cars); 0 after a car's finish.
+    raced: np.ndarray  # Steps each car raced before its finish, int64, (num_cars,).
 
     @property
     def totals(self) -> np.ndarray:
@@ -135,8 +132,7 @@ def _frame(replay: Replay, time_s: float) -> int:
     return min(round(time_s * replay.step_hz), replay.num_frames - 1)
 
 
-_SMOOTHED_S = 1.0
-"""Width of the running mean drawn over each step's reward [s]."""
+_SMOOTHED_S = 1.0  # Width of the running mean drawn over each step's reward [s].
 
 
 def draw(replay: Replay, scores: Sequence[Score], path: Path) -> None:

@@ -42,22 +42,17 @@ LARGE = 1e5
 """Rewards beyond this are noted: the original's documentation promises to learn up to here."""
 LARGEST = float(np.finfo(np.float32).max)
 """Larger rewards are infinite: the league learns in single precision."""
-MAX_CHARACTERS = 140_000
-"""Longest file, as in the original."""
-KEPT_LINES = 200
-"""Printed lines kept, the latest."""
-_LONGEST_LINE = 2000
-"""Characters kept of a printed line."""
+MAX_CHARACTERS = 140_000  # Longest file, as in the original.
+KEPT_LINES = 200  # Printed lines kept, the latest.
+_LONGEST_LINE = 2000  # Characters kept of a printed line.
 
-TERM = "user"
-"""Name under which the reward is logged."""
+TERM = "user"  # Name under which the reward is logged.
 
 Function = Callable[[dict[str, Any]], object]
 
 _MODULE_NUMBERS = itertools.count()
 _LOG = logging.getLogger("league")
-_TIMED_CALLS = 300
-"""Calls after which their share of the run's time is looked at."""
+_TIMED_CALLS = 300  # Calls after which their share of the run's time is looked at.
 
 
 class Prints:
@@ -95,16 +90,11 @@ class Prints:
 class RewardFile:
     """A reward file, compiled."""
 
-    path: Path
-    """Where it was read from."""
-    text: str
-    """Its content."""
-    digest: str
-    """SHA-256 of the file, hexadecimal."""
-    code: CodeType
-    """Run once for each car."""
-    prints: Prints = field(default_factory=Prints)
-    """The last lines it has printed."""
+    path: Path  # Where it was read from.
+    text: str  # Its content.
+    digest: str  # SHA-256 of the file, hexadecimal.
+    code: CodeType  # Run once for each car.
+    prints: Prints = field(default_factory=Prints)  # The last lines it has printed.
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> RewardFile:

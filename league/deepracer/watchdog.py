@@ -17,8 +17,7 @@ _LOOKS = 10
 """Looks at a call within its time limit. Looks are counted instead of seconds, because a machine
 that sleeps or a program that its terminal has stopped takes none."""
 
-_WAKE = getattr(signal, "SIGURG", None)
-"""A signal that does nothing by itself; Windows has none."""
+_WAKE = getattr(signal, "SIGURG", None)  # A signal that does nothing by itself; Windows has none.
 
 
 class Stopped(BaseException):

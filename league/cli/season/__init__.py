@@ -50,8 +50,7 @@ class OnServer(OnLeague):
     token: str = ""
     """Token for --to; by default the environment variable LEAGUE_TOKEN, which other users of this
     machine cannot read in the list of processes."""
-    insecure: bool = False
-    """Let the token travel unencrypted (http://) to another machine."""
+    insecure: bool = False  # Let the token travel unencrypted (http://) to another machine.
 
     def client(self) -> Client:
         """Return the served league."""
@@ -65,8 +64,7 @@ class OnServer(OnLeague):
 class Reading(OnLeague):
     """A command that only reads a league."""
 
-    json: bool = False
-    """Print JSON."""
+    json: bool = False  # Print JSON.
 
 
 def at_least(command: DataclassInstance, name: str, least: int) -> None:

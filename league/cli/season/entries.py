@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import tyro
+from tyro.conf import Positional, arg, subcommand
 
 from league import times
 from league.cli import season, tables
@@ -35,28 +35,21 @@ GIVEN = (
 class Init(OnLeague):
     """Make a league; its rules, on which all ratings depend, cannot be changed later."""
 
-    name: str = "league"
-    """Name shown to people."""
+    name: str = "league"  # Name shown to people.
     track: tuple[str, ...] = ("reinvent_2018",)
     """Tracks that heats are drawn from (see `league tracks`)."""
-    laps: int = 3
-    """Laps of each race."""
-    cars: int = 2
-    """Cars in each race, 2 to 8."""
-    solver: Literal["bullet", "planar"] = "bullet"
-    """Physics."""
+    laps: int = 3  # Laps of each race.
+    cars: int = 2  # Cars in each race, 2 to 8.
+    solver: Literal["bullet", "planar"] = "bullet"  # Physics.
     sensors: Literal["stock", "any"] = "stock"
     """Stock mounts, lenses and rates only, or whatever a card asks for."""
-    max_time_s: float = 0.0
-    """A race is stopped after this time [s]; 0 chooses by length."""
+    max_time_s: float = 0.0  # A race is stopped after this time [s]; 0 chooses by length.
     variation: float = 1.0
     """How much the cars of a race differ, drawn from its seed: 1 is two percent of grip."""
     rules: Literal["league", "deepracer"] = "league"
     """Who is to blame and what it costs: as docs/rules.md has it, or as in the original."""
-    obstacles: int = 0
-    """Boxes or bots on the track."""
-    bots: bool = False
-    """Slow bot cars that change lanes instead of boxes."""
+    obstacles: int = 0  # Boxes or bots on the track.
+    bots: bool = False  # Slow bot cars that change lanes instead of boxes.
     format: Literal["standing", "reverse", "qualifying", "pursuit"] = "standing"
     """How cars line up: standing, twice, with the grid swapped; reverse, the best rated last;
     qualifying, the best lap so far first; pursuit, spread evenly round the lap."""
@@ -83,15 +76,13 @@ class Init(OnLeague):
 class Submit(OnServer):
     """Submit a checkpoint; it is read here, and its weights are sent as plain numbers."""
 
-    driver: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="DRIVER")]
+    driver: Annotated[Positional[str], arg(metavar="DRIVER")]
     """A checkpoint (FILE.pt), or the name of a driver (see `league drivers`)."""
-    name: str = ""
-    """Name shown to people; by default the file's."""
+    name: str = ""  # Name shown to people; by default the file's.
     owner: str = ""
     """Its owner; by default your login name, and with --to the owner of the token. Entries of one
     owner do not meet."""
-    download: bool = False
-    """Let everyone download the weights from the driver's page."""
+    download: bool = False  # Let everyone download the weights from the driver's page.
 
     def run(self) -> None:
         name = self.name or Path(self.driver).stem
@@ -139,7 +130,7 @@ class Submit(OnServer):
 class Pack:
     """Write a checkpoint as the file that a league's upload form takes: plain numbers and card."""
 
-    driver: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="FILE.pt")]
+    driver: Annotated[Positional[str], arg(metavar="FILE.pt")]
     """A checkpoint, or the name of one (see `league drivers`)."""
     out: Path | None = None
     """Where to write it; by default here, under the checkpoint's name, ending in .safetensors."""
@@ -197,12 +188,9 @@ class Entries(Reading):
 class Retire(OnServer):
     """Take an entry out of the league; its results stay, and there is no way back."""
 
-    entry: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ENTRY")]
-    """Name or id."""
-    reason: str = ""
-    """Why, for people to read."""
-    yes: bool = False
-    """Do not ask first."""
+    entry: Annotated[Positional[str], arg(metavar="ENTRY")]  # Name or id.
+    reason: str = ""  # Why, for people to read.
+    yes: bool = False  # Do not ask first.
 
     def run(self) -> int:
         if self.to:
@@ -314,13 +302,12 @@ def _rules(command: Init) -> Ruleset:
 class Create(OnLeague):
     """Make a token and print it, once: only its hash is kept."""
 
-    owner: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="OWNER")]
+    owner: Annotated[Positional[str], arg(metavar="OWNER")]
     """The owner that it stands for: entries submitted with it are this owner's."""
     scope: tuple[Literal["submit", "worker", "admin"], ...] = ("submit",)
     """submit: enter and retire the owner's drivers; worker: race heats; admin: all of it, and
     retire anybody's drivers."""
-    days: float = 365.0
-    """It ends after so many days; 0 for never."""
+    days: float = 365.0  # It ends after so many days; 0 for never.
 
     def run(self) -> None:
         if not 0 <= self.days < 1e6:
@@ -359,8 +346,7 @@ class List(Reading):
 class Revoke(OnLeague):
     """End a token at once; entries made with it stay."""
 
-    token: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="TOKEN")]
-    """Its number, or the token itself."""
+    token: Annotated[Positional[str], arg(metavar="TOKEN")]  # Its number, or the token itself.
 
     def run(self) -> None:
         with self.opened() as store:
@@ -373,9 +359,9 @@ class ManageTokens:
     """Make, list or revoke the tokens by which owners and workers are known over HTTP."""
 
     command: (
-        Annotated[Create, tyro.conf.subcommand("create")]
-        | Annotated[List, tyro.conf.subcommand("list")]
-        | Annotated[Revoke, tyro.conf.subcommand("revoke")]
+        Annotated[Create, subcommand("create")]
+        | Annotated[List, subcommand("list")]
+        | Annotated[Revoke, subcommand("revoke")]
     )
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
+from tyro.conf import Positional, arg
 
 from league.cli import season, tables
 from league.cli.season import Reading
@@ -21,22 +21,18 @@ if TYPE_CHECKING:
     from league.matchmaking.store import HeatOutcome, Store
     from league.matchmaking.workers.worker import HeatDriver
 
-PRINT_EVERY_S = 10.0
-"""Interval at which a comparison without a terminal reports its progress [s]."""
+PRINT_EVERY_S = 10.0  # Interval at which a comparison without a terminal reports its progress [s].
 
 
 @dataclass
 class Gauntlet(Reading):
     """Race a checkpoint against the field without submitting it: where would it stand?"""
 
-    checkpoint: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="CHECKPOINT")]
+    checkpoint: Annotated[Positional[str], arg(metavar="CHECKPOINT")]
     """The checkpoint (FILE.pt), or a name in the garage."""
-    rounds: int = 1
-    """Heats against each opponent."""
-    opponents: int = 8
-    """Opponents, evenly spread over the standings."""
-    workers: int = 0
-    """Worker processes; 0 takes one for each core."""
+    rounds: int = 1  # Heats against each opponent.
+    opponents: int = 8  # Opponents, evenly spread over the standings.
+    workers: int = 0  # Worker processes; 0 takes one for each core.
 
     def run(self) -> None:
         from league.agents import checkpoint, roster
@@ -80,22 +76,15 @@ class Gauntlet(Reading):
 class Compare(Reading):
     """Is B better than A? Race them until the answer is sure, and no longer."""
 
-    one: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="A")]
+    one: Annotated[Positional[str], arg(metavar="A")]
     """A: an entry's name or id, a checkpoint (FILE.pt), or a name in the garage."""
-    other: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="B")]
-    """B."""
-    elo0: float = 0.0
-    """B is "not better" if it leads by this or less [Elo]."""
-    elo1: float = 30.0
-    """B is "better" if it leads by this or more [Elo]."""
-    alpha: float = 0.05
-    """Chance of a wrong "better"."""
-    beta: float = 0.05
-    """Chance of a wrong "not better"."""
-    heats: int = 400
-    """Give up undecided after so many heats."""
-    workers: int = 0
-    """Worker processes; 0 takes one for each core."""
+    other: Annotated[Positional[str], arg(metavar="B")]  # B.
+    elo0: float = 0.0  # B is "not better" if it leads by this or less [Elo].
+    elo1: float = 30.0  # B is "better" if it leads by this or more [Elo].
+    alpha: float = 0.05  # Chance of a wrong "better".
+    beta: float = 0.05  # Chance of a wrong "not better".
+    heats: int = 400  # Give up undecided after so many heats.
+    workers: int = 0  # Worker processes; 0 takes one for each core.
 
     def run(self) -> None:
         from league.matchmaking import gauntlet

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TextIO
 
-import tyro
+from tyro.conf import Positional, arg
 
 from league import times
 from league.atomic_file import replacing
@@ -30,8 +30,7 @@ COLUMNS: tuple[str, ...] = (
     "place", "finished", "laps", "total_s", "distance", "off_tracks", "crashes", "overtakes",
 )  # fmt: skip
 """Columns of an export: one line for each car of each race."""
-EXPORTED = 500
-"""Heats read at a time by an export."""
+EXPORTED = 500  # Heats read at a time by an export.
 VERDICTS = {
     "accepted": "agrees",
     "repeated": "agrees",
@@ -46,12 +45,9 @@ Shown = Literal["all", "planned", "claimed", "done", "error", "quarantined", "ca
 class Heats(Reading):
     """List heats: the newest, those of an entry, or those in a state."""
 
-    entry: str = ""
-    """Only those of this entry, by name or id."""
-    state: Shown = "all"
-    """Only those in this state."""
-    limit: int = 20
-    """How many, the newest."""
+    entry: str = ""  # Only those of this entry, by name or id.
+    state: Shown = "all"  # Only those in this state.
+    limit: int = 20  # How many, the newest.
 
     def run(self) -> None:
         from league.matchmaking import documents
@@ -79,7 +75,7 @@ class Heats(Reading):
 class ShowHeat(Reading):
     """Show a heat: its races, results, seeds, and what went wrong if it failed."""
 
-    heat: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="HEAT")]
+    heat: Annotated[Positional[str], arg(metavar="HEAT")]
     """Its number, or the beginning of its key."""
 
     def run(self) -> None:
@@ -137,7 +133,7 @@ class Retry(OnLeague):
     you trust and that raced none of them.
     """
 
-    heat: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="HEAT")]
+    heat: Annotated[Positional[str], arg(metavar="HEAT")]
     """Its number, or the beginning of its key."""
 
     def run(self) -> None:
@@ -161,12 +157,9 @@ class Retry(OnLeague):
 class Audit(OnLeague):
     """Recompute all that standings use, and run a sample of the heats again, to the last bit."""
 
-    sample: str = "2%"
-    """Share of the rated heats not audited before, in percent."""
-    workers: int = 0
-    """Worker processes; 0 takes one for each core."""
-    seed: int | None = None
-    """Seed of the draw; by default chance."""
+    sample: str = "2%"  # Share of the rated heats not audited before, in percent.
+    workers: int = 0  # Worker processes; 0 takes one for each core.
+    seed: int | None = None  # Seed of the draw; by default chance.
     head: str = ""
     """The ledger's head as an earlier audit printed it: nothing up to then may have changed."""
 

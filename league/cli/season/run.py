@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import tyro
+from tyro.conf import Positional, arg
 
 from league.cli import season, tables
 from league.cli.season import OnLeague, OnServer
@@ -30,32 +30,24 @@ if TYPE_CHECKING:
     from league.matchmaking.store import Store
     from league.matchmaking.workers.dispatcher import Dispatcher, FinishedHeat, HeatSource
 
-REFIT_EVERY_S = 5.0
-"""Interval at which the page computes the standings, at least [s]."""
-TOP = 12
-"""Entries on the page."""
-PATIENCE_S = 600.0
-"""How long a remote worker waits for a server that does not answer [s]."""
+REFIT_EVERY_S = 5.0  # Interval at which the page computes the standings, at least [s].
+TOP = 12  # Entries on the page.
+PATIENCE_S = 600.0  # How long a remote worker waits for a server that does not answer [s].
 
 
 @dataclass
 class Racing(OnLeague):
     """A command that races heats."""
 
-    heats: int | None = None
-    """Stop after so many heats."""
-    minutes: float | None = None
-    """Begin no heat after so many minutes."""
-    workers: int = 0
-    """Worker processes; 0 takes one for each core."""
+    heats: int | None = None  # Stop after so many heats.
+    minutes: float | None = None  # Begin no heat after so many minutes.
+    workers: int = 0  # Worker processes; 0 takes one for each core.
     executor: Literal["processes", "ray"] = "processes"
     """Where the workers live: on this machine, or on the Ray cluster that RAY_ADDRESS names."""
     lease_s: float = 60.0
     """Heats of a machine that gives no sign for so long are lent to others [s]."""
-    replays: bool = True
-    """Keep the recordings; without them heats cannot be watched."""
-    plain: bool = False
-    """Print a line for each heat instead of the page."""
+    replays: bool = True  # Keep the recordings; without them heats cannot be watched.
+    plain: bool = False  # Print a line for each heat instead of the page.
 
     def run(self) -> None:
         from league.matchmaking.workers.worker import check_physics
@@ -147,16 +139,13 @@ class RunSeason(Racing):
 class Serve(OnLeague):
     """Show the league in the browser, and take submissions there: standings, drivers, replays."""
 
-    port: int = 8018
-    """Port to listen on; 0 takes a free one."""
+    port: int = 8018  # Port to listen on; 0 takes a free one.
     host: str = "127.0.0.1"
     """Address to listen on; another one is possible once there are tokens (`league token`)."""
     name: tuple[str, ...] = ()
     """Names under which browsers reach this server, apart from 127.0.0.1 and localhost."""
-    entries: int = 4
-    """Entries that an owner may have."""
-    per_day: int = 5
-    """Submissions that an owner may make within 24 hours."""
+    entries: int = 4  # Entries that an owner may have.
+    per_day: int = 5  # Submissions that an owner may make within 24 hours.
     audit: str = "5%"
     """Share of the heats of remote workers that are run again by others, in percent."""
 
@@ -187,10 +176,8 @@ class Serve(OnLeague):
 class Site(OnLeague):
     """Write a league's pages as files, for any web space; they need no server."""
 
-    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER")]
-    """A new folder."""
-    heats: int = 200
-    """So many of the newest heats get pages, with their races to watch."""
+    folder: Annotated[Positional[Path], arg(metavar="FOLDER")]  # A new folder.
+    heats: int = 200  # So many of the newest heats get pages, with their races to watch.
     season: int | None = None
     """Number of a season that is over: everything is as it was at its end."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import tyro
+from tyro.conf import Positional, arg
 
 from league import times
 from league.cli import season, tables
@@ -20,17 +20,13 @@ if TYPE_CHECKING:
 class Seasons(Reading):
     """List the seasons; start one, or end it: its standings are frozen, its trophies given."""
 
-    action: Annotated[
-        tyro.conf.Positional[Literal["list", "start", "end"]], tyro.conf.arg(metavar="[ACTION]")
-    ] = "list"
+    action: Annotated[Positional[Literal["list", "start", "end"]], arg(metavar="[ACTION]")] = "list"
     """list, start or end. The first season has all heats so far, each other one those after the
     one before; ratings carry over, less sure, if the rules stay."""
-    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[NAME]")] = ""
+    name: Annotated[Positional[str], arg(metavar="[NAME]")] = ""
     """Name of the season that starts; by default its number."""
-    division_size: int = 20
-    """Entries of a division, of the season that starts."""
-    least_safety: float = 2.0
-    """Safety rating, 0 to 5, that its top division asks for; 0 for none."""
+    division_size: int = 20  # Entries of a division, of the season that starts.
+    least_safety: float = 2.0  # Safety rating, 0 to 5, that its top division asks for; 0 for none.
 
     def run(self) -> None:
         from league.matchmaking import seasons
@@ -88,14 +84,11 @@ def _print_trophies(store: Store, over: Season) -> None:
 class Cups(Reading):
     """Show a cup's bracket, or start a cup: qualifying, then knock-out heats of four."""
 
-    action: Annotated[
-        tyro.conf.Positional[Literal["show", "start"]], tyro.conf.arg(metavar="[ACTION]")
-    ] = "show"
+    action: Annotated[Positional[Literal["show", "start"]], arg(metavar="[ACTION]")] = "show"
     """show or start. `league run` races a cup's heats before all others."""
-    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[NAME]")] = ""
+    name: Annotated[Positional[str], arg(metavar="[NAME]")] = ""
     """Name (or number) of the cup; by default the last one, or the number of a new one."""
-    anchors: bool = False
-    """Let the league's own drivers take part in the cup that starts."""
+    anchors: bool = False  # Let the league's own drivers take part in the cup that starts.
 
     def run(self) -> None:
         from league.matchmaking import cups

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
+from tyro.conf import Positional, arg
 
 from league import times
 from league.cli import season, tables
@@ -20,16 +20,14 @@ if TYPE_CHECKING:
     from league.matchmaking.store import LeagueEntry, Store
 
 
-NAMES_WIDTH, CELL_WIDTH = 18, 8
-"""Of the matrix of all against all, with the gaps between columns."""
+NAMES_WIDTH, CELL_WIDTH = 18, 8  # Of the matrix of all against all, with the gaps between columns.
 
 
 @dataclass
 class ShowStandings(Reading):
     """Rate all entries from all races, and print the table."""
 
-    top: int | None = None
-    """Only so many."""
+    top: int | None = None  # Only so many.
 
     def run(self) -> None:
         from league.matchmaking import documents, standings
@@ -49,8 +47,7 @@ class ShowStandings(Reading):
 class ShowEntry(Reading):
     """Show an entry: rating, record against each opponent, last heats."""
 
-    entry: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ENTRY")]
-    """Name or id."""
+    entry: Annotated[Positional[str], arg(metavar="ENTRY")]  # Name or id.
 
     def run(self) -> None:
         from league.matchmaking import documents, standings
@@ -100,10 +97,8 @@ class ShowHeadToHead(Reading):
     Without names: all of the best ones against each other, and where the ratings miss something.
     """
 
-    one: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[A]")] = ""
-    """Name or id."""
-    other: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[B]")] = ""
-    """Name or id."""
+    one: Annotated[Positional[str], arg(metavar="[A]")] = ""  # Name or id.
+    other: Annotated[Positional[str], arg(metavar="[B]")] = ""  # Name or id.
     top: int = 8
     """Largest size of the matrix, where no names are given; less where there is no space."""
 
@@ -125,10 +120,8 @@ class ShowHeadToHead(Reading):
 class ShowHistory(Reading):
     """Show how an entry's rating came about."""
 
-    entry: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ENTRY")]
-    """Name or id."""
-    points: int = 20
-    """How many moments."""
+    entry: Annotated[Positional[str], arg(metavar="ENTRY")]  # Name or id.
+    points: int = 20  # How many moments.
 
     def run(self) -> None:
         from league.matchmaking import history

@@ -28,13 +28,11 @@ from league.training.ppo import make_env
 from league.training.ppo.learner import Learner, Update
 from league.training.ppo.teacher import TaughtLearner, Teacher
 
-WARM_UP = 0.04
-"""Share of a stage before rivals become faster or slower: the cars learn to drive."""
+WARM_UP = 0.04  # Share of a stage before rivals become faster or slower: the cars learn to drive.
 ENOUGH, AT_LAST = 0.45, 0.7
 """Share of clean attacks above which rivals become faster, at the start and the end of the first
 stage; in the second it stays at the first value."""
-SLACK = 0.1
-"""How far below that share rivals become slower."""
+SLACK = 0.1  # How far below that share rivals become slower.
 PACE_STEP = 2.5
 """How much the rivals' largest top speed would change over a whole stage of success."""
 FIRST_PACE, LEAST_PACE, RANGE = 0.70, 0.60, 0.25
@@ -42,8 +40,7 @@ FIRST_PACE, LEAST_PACE, RANGE = 0.70, 0.60, 0.25
 DEAR = 6.0
 """Price of a contact at the end of a stage, as a multiple of its price at the start: more than a
 pass earns."""
-SPREAD = 0.5
-"""Least randomisation of the cars; see TrainConfig."""
+SPREAD = 0.5  # Least randomisation of the cars; see TrainConfig.
 SCRIPTED: tuple[tuple[float, tuple[str, ...]], ...] = (
     (0.25, ("centerline",)),
     (0.125, ("racing_line", "cautious", "blocker")),
@@ -51,8 +48,7 @@ SCRIPTED: tuple[tuple[float, tuple[str, ...]], ...] = (
 """Shares of the worlds of a policy with its own sensors in which scripted drivers have the other
 cars, in turn. The racer drives slow cars well; others brake for bends and keep to lines of their
 own."""
-_LATELY = 100.0
-"""Attacks after which what is known about earlier ones counts half."""
+_LATELY = 100.0  # Attacks after which what is known about earlier ones counts half.
 
 
 class Curriculum:

@@ -50,8 +50,7 @@ def teacher_config(cfg: TrainConfig) -> TrainConfig:
 class Teacher(Learner):
     """PPO learner with the privileged state, else seen by the critic alone, as observation."""
 
-    groups = ("state", "motion")
-    """Its observation groups, and its critic's."""
+    groups = ("state", "motion")  # Its observation groups, and its critic's.
 
     def targets(self, observations: TensorDict) -> Tensor:
         """Return its actions, or log probabilities of choices, without gradients."""
