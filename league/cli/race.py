@@ -32,6 +32,12 @@ if TYPE_CHECKING:
 STORY_LINES = 12  # Lines of the race's story that are printed at most.
 
 
+GIVEN = (
+    "laps", "seed", "solver", "ranking", "average_laps", "rules", "format", "variation",
+)  # fmt: skip
+"""Flags that are settings of the spec, as they are; `league evaluate` has some of them."""
+
+
 class Drivers(tuple[str, ...]):
     """Names of drivers.
 
@@ -100,8 +106,7 @@ class Race:
         print_remark(spec.kind, spec.obstacles, len(spec.entries))
         if spec.format in ("reverse", "qualifying"):
             spec = _after_qualifying(spec, track, quiet=self.json)
-        keep = self.replay != "none"
-        path = replay_path(self.replay, spec, track) if keep else None
+        path = replay_path(self.replay, spec, track) if self.replay != "none" else None
         if path is not None:
             check_writable(path, "the replay", ReplayError)
         live = None
@@ -122,7 +127,7 @@ class Race:
 
             listen = None if live is None else live.note
             # Without a file, too, the story is of the recording.
-            record = keep or not self.json
+            record = path is not None or not self.json
             finished = race.run(spec, track=track, record=record, watch=watch, listen=listen)
         written = None
         try:
@@ -182,24 +187,14 @@ def race_spec(command: Race | Evaluate, track: str, kind: str, drivers: Sequence
                 f"--average-laps is {command.average_laps}, but the race has {command.laps} laps: "
                 "give at most as many"
             )
-    return checked(
-        {
-            "track": track,
-            "kind": kind,
-            "laps": command.laps,
-            "seed": command.seed,
-            "solver": command.solver,
-            **{
-                name: getattr(command, name)
-                for name in ("ranking", "average_laps", "rules", "format", "variation")
-                if hasattr(command, name)
-            },
-            "entries": entries(drivers),
-            "obstacles": num_obstacles(command, avoiding=kind == "obstacle_avoidance"),
-            "obstacle_kind": "bot" if command.bots else "box",
-            "random_obstacles": not command.fixed_obstacles,
-        }
-    )
+    given = {name: getattr(command, name) for name in GIVEN if hasattr(command, name)}
+    obstacles = {
+        "obstacles": num_obstacles(command, avoiding=kind == "obstacle_avoidance"),
+        "obstacle_kind": "bot" if command.bots else "box",
+        "random_obstacles": not command.fixed_obstacles,
+    }
+    field = entries(drivers)
+    return checked({**given, **obstacles, "track": track, "kind": kind, "entries": field})
 
 
 def race_kind(command: Race | Evaluate, num_cars: int) -> RaceKind:
@@ -239,10 +234,9 @@ def entries(drivers: Sequence[str]) -> list[dict[str, str]]:
     for driver, name in zip(drivers, labels(drivers), strict=True):
         entry = {"name": name}
         if driver.endswith(".pt"):
-            entry |= {"path": driver, "digest": checkpoint.digest(driver)}
-        elif driver in shipped:
-            # No path: on every machine the garage has it under this name.
-            entry["digest"] = checkpoint.digest(shipped[driver])
+            entry["path"] = driver  # not of the garage's: every machine has them under their names
+        if driver.endswith(".pt") or driver in shipped:
+            entry["digest"] = checkpoint.digest(shipped.get(driver, driver))
         result.append(entry)
     return result
 
@@ -253,13 +247,12 @@ def labels(drivers: Sequence[str]) -> list[str]:
     Two files of one name (a/best.pt, b/best.pt) are labelled with their folders.
     """
     names = [Path(driver).stem if driver.endswith(".pt") else driver for driver in drivers]
-    return [
-        f"{Path(driver).resolve().parent.name}/{name}"
-        if any(name == other and driver != drivers[k] for k, other in enumerate(names))
-        and driver.endswith(".pt")
-        else name
-        for driver, name in zip(drivers, names, strict=True)
-    ]
+    result = []
+    for driver, name in zip(drivers, names, strict=True):
+        shared = any(name == other and driver != drivers[k] for k, other in enumerate(names))
+        folder = Path(driver).resolve().parent.name
+        result.append(f"{folder}/{name}" if shared and driver.endswith(".pt") else name)
+    return result
 
 
 def replay_path(replay: str, spec: RaceSpec, track: Track) -> Path:
@@ -288,10 +281,7 @@ def replay_line(replay: Path) -> str:
 
 
 def _print_classification(result: RaceResult) -> None:
-    heads = ("", "driver", "laps", "total", "gap", "best lap", "off", "crash", "penalty")
-    spec, winner = result.spec, result.order[0]
-    title = spec.title if spec.format == "standing" else f"{spec.title}, {spec.format}"
-    rows = []
+    spec, winner, rows = result.spec, result.order[0], []
     for car in result.order:
         total = times.clock(car.total_s) if car.finished else "not finished"
         behind = car.finished and car is not winner
@@ -300,6 +290,8 @@ def _print_classification(result: RaceResult) -> None:
         penalty = f"{car.penalty_s:.1f}" if car.penalty_s else ""
         mistakes = car.off_tracks, car.crashes, penalty
         rows.append((car.place, car.name, car.laps, total, gap, best, *mistakes))
+    title = spec.title if spec.format == "standing" else f"{spec.title}, {spec.format}"
+    heads = ("", "driver", "laps", "total", "gap", "best lap", "off", "crash", "penalty")
     tables.table(title, heads, rows, "crash", "off", "laps", "best lap", "gap")
     if len(result.order) > 1:
         print(f"Lead changes: {result.lead_changes}")

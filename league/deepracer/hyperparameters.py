@@ -73,19 +73,14 @@ NAMES = tuple(Hyperparameters.model_fields)
 
 
 def read(path: str | os.PathLike[str]) -> Hyperparameters:
-    """Return the values of a hyperparameters.json.
-
-    Raises:
-        ConfigError: there is no such file, a key is unknown, or a value out of range.
-    """
+    """Return the values of a hyperparameters.json; ConfigError if there is none, or a bad one."""
     return parse(load_json(path, "hyperparameters.json"), str(path))
 
 
 def parse(content: Mapping[str, Any], name: str = "hyperparameters") -> Hyperparameters:
-    """Return the values of a hyperparameters.json's object; errors begin with `name`.
+    """Return the values of a hyperparameters.json's object.
 
-    Raises:
-        ConfigError: a key is unknown, or a value out of range.
+    ConfigError, which begins with `name`, if a key is unknown, or a value out of range.
     """
     for key in content:
         if key not in (*NAMES, "learning_rate", "entropy"):

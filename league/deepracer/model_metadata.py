@@ -89,7 +89,7 @@ class _File(BaseModel):
     action_space_type: Literal["discrete", "continuous"] = "discrete"
     sensor: list[str] | None = None
     version: str | int | float | None = None
-    training_algorithm: str = "clipped_ppo"
+    training_algorithm: Algorithm = "clipped_ppo"
     neural_network: str = NETWORKS[0]
     lidar_config: _Lidar | None = None
 
@@ -103,19 +103,14 @@ class _ContinuousFile(_File):
 
 
 def read(path: str | os.PathLike[str]) -> Metadata:
-    """Return the content of a model_metadata.json.
-
-    Raises:
-        ConfigError: there is no such file, or it describes no model of the original.
-    """
+    """Return the content of a model_metadata.json; ConfigError if there is none, or a bad one."""
     return parse(load_json(path, "model_metadata.json"), str(path))
 
 
 def parse(content: Mapping[str, Any], name: str = "model_metadata") -> Metadata:
-    """Return the content of a model_metadata.json's object; errors begin with `name`.
+    """Return the content of a model_metadata.json's object.
 
-    Raises:
-        ConfigError: it describes no model of the original.
+    ConfigError, which begins with `name`, if it describes no model of the original.
     """
     kind = content.get("action_space_type", "discrete")
     # One of the two models, because pydantic would complain about both members of a union.
@@ -126,9 +121,7 @@ def parse(content: Mapping[str, Any], name: str = "model_metadata") -> Metadata:
             action_space=_action_space(file, kind),
             sensors=_sensors(file.sensor or ["observation"], file.lidar_config),
             version=_version(file),
-            training_algorithm=_one_of(  # type: ignore
-                "training_algorithm", file.training_algorithm, ("clipped_ppo", "sac")
-            ),
+            training_algorithm=file.training_algorithm,
             neural_network=_one_of("neural_network", file.neural_network, NETWORKS),
             notes=_notes(file),
         )
@@ -255,11 +248,7 @@ def _one_of(what: str, value: str, known: tuple[str, ...]) -> str:
 
 
 def load_json(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
-    """Return the object in one of DeepRacer's JSON files, named by its kind in errors.
-
-    Raises:
-        ConfigError: there is no such file, or no JSON object in it.
-    """
+    """Return the object in one of DeepRacer's JSON files, named by its kind in ConfigErrors."""
     path = Path(path)
     try:
         if path.stat().st_size > MAX_BYTES:

@@ -24,34 +24,12 @@ WAYPOINT_SPACING = 0.15
 """Wished distance between two waypoints [m]: the original's re:Invent 2018 has 119 on 17.7 m."""
 
 KEYS = (
-    "all_wheels_on_track",
-    "closest_objects",
-    "closest_waypoints",
-    "distance_from_center",
-    "heading",
-    "is_crashed",
-    "is_left_of_center",
-    "is_offtrack",
-    "is_reversed",
-    "object_in_camera",
-    "objects_distance",
-    "objects_distance_from_center",
-    "objects_heading",
-    "objects_left_of_center",
-    "objects_location",
-    "objects_speed",
-    "progress",
-    "projection_distance",
-    "sim_time",
-    "speed",
-    "steering_angle",
-    "steps",
-    "track_length",
-    "track_width",
-    "waypoints",
-    "x",
-    "y",
-)
+    "all_wheels_on_track", "closest_objects", "closest_waypoints", "distance_from_center",
+    "heading", "is_crashed", "is_left_of_center", "is_offtrack", "is_reversed", "object_in_camera",
+    "objects_distance", "objects_distance_from_center", "objects_heading", "objects_left_of_center",
+    "objects_location", "objects_speed", "progress", "projection_distance", "sim_time", "speed",
+    "steering_angle", "steps", "track_length", "track_width", "waypoints", "x", "y",
+)  # fmt: skip
 """Every key of `params`, by name."""
 
 Params = dict[str, object]

@@ -7,6 +7,7 @@ never runs files of others.
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import inspect
 import io
 import itertools
@@ -16,7 +17,6 @@ import os
 import re
 import sys
 import time
-import tokenize
 import traceback
 import weakref
 from collections import deque
@@ -67,21 +67,14 @@ class Prints:
         """The last lines, including one that has not ended yet."""
         return (*self._lines, *([self._begun] if self._begun else []))
 
-    def keep(
-        self,
-        *values: object,
-        sep: str | None = " ",
-        end: str | None = "\n",
-        file: object = None,
-        flush: bool = False,
-    ) -> None:
+    def keep(self, *values: object, file: Any = None, **settings: Any) -> None:  # noqa: ANN401
         """Replace `print`; output to a file of the user's own still goes there."""
-        text = (" " if sep is None else sep).join(map(str, values))
-        text += "\n" if end is None else end
-        if file is not None and file not in (sys.stdout, sys.stderr):
-            print(text, end="", file=file, flush=flush)  # type: ignore
+        if file not in (None, sys.stdout, sys.stderr):
+            print(*values, file=file, **settings)
             return
-        *whole, begun = (self._begun + text).split("\n")
+        text = io.StringIO()
+        print(*values, file=text, **settings)
+        *whole, begun = (self._begun + text.getvalue()).split("\n")
         self._lines.extend(line[:_LONGEST_LINE] for line in whole[-KEPT_LINES:])
         self._begun = begun[:_LONGEST_LINE]
 
@@ -98,11 +91,7 @@ class RewardFile:
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> RewardFile:
-        """Read and compile a file.
-
-        Raises:
-            RewardError: there is no such file, or it is too long, not text, or not Python.
-        """
+        """Read and compile a file; RewardError if it is missing, too long, or not Python."""
         path = Path(path)
         content, text = _text(path)
         return _compiled(path, text, hashlib.sha256(content).hexdigest(), Prints())
@@ -114,8 +103,7 @@ class RewardFile:
     def instance(self) -> Function:
         """Run the file in a new module and return its reward function.
 
-        Raises:
-            RewardError: the file fails, or has no function of one parameter.
+        RewardError if the file fails, or has no function of one parameter.
         """
         module = ModuleType(f"{NAME}_{next(_MODULE_NUMBERS)}")
         module.__file__ = str(self.path)
@@ -145,11 +133,7 @@ class RewardFile:
         return RewardError(f"{self.path}, line {line}: {what} ({when}){hint}")
 
     def number(self, function: Function, value: object, when: str) -> float:
-        """Return the value as a float.
-
-        Raises:
-            RewardError: it is no number, NaN or infinite.
-        """
+        """Return the value as a float; RewardError if it is no number, NaN or infinite."""
         try:
             # An array of one number is one, as it was with the numpy of the original.
             one = value.item() if getattr(value, "size", None) == 1 else value  # type: ignore
@@ -159,9 +143,14 @@ class RewardFile:
         if -LARGEST <= number <= LARGEST:
             return number
         raise RewardError(
-            f"{self.path}, line {_first_line(function)}: {NAME} returned {brief(value)} "
-            f"({when}): return a finite number, best one of about 1"
+            f"{self._place(function)} returned {brief(value)} ({when}): return a finite number, "
+            "best one of about 1"
         )
+
+    def _place(self, function: object) -> str:
+        """Return where a function begins, and its name."""
+        line = getattr(getattr(function, "__code__", None), "co_firstlineno", 1)
+        return f"{self.path}, line {line}: {NAME}"
 
     def _hint(self, error: BaseException, line: int, params: Mapping[str, object] | None) -> str:
         """Return the usual remedy for this error, or nothing."""
@@ -191,20 +180,16 @@ class RewardFile:
             signature = inspect.signature(function)
         except (TypeError, ValueError):
             return function
-        parameters, line = signature.parameters, _first_line(function)
-        if "on_track" in parameters:
+        takes = f"{self._place(function)} takes {len(signature.parameters)} parameters"
+        if "on_track" in signature.parameters:
             raise RewardError(
-                f"{self.path}, line {line}: {NAME} takes {len(parameters)} parameters, the "
-                "positional signature of November 2018, which is no longer used: take one dict, "
-                f"`def {NAME}(params):`"
+                f"{takes}, the positional signature of November 2018, which is no longer used: "
+                f"take one dict, `def {NAME}(params):`"
             )
         try:
             signature.bind({})
         except TypeError:
-            raise RewardError(
-                f"{self.path}, line {line}: {NAME} takes {len(parameters)} parameters: it must "
-                f"take one, `def {NAME}(params):`"
-            ) from None
+            raise RewardError(f"{takes}: it must take one, `def {NAME}(params):`") from None
         return function
 
 
@@ -221,19 +206,13 @@ def _compiled(path: Path, text: str, digest: str, prints: Prints) -> RewardFile:
     return RewardFile(path, text, digest, code, prints)
 
 
-def _first_line(function: object) -> int:
-    return getattr(getattr(function, "__code__", None), "co_firstlineno", 1)
-
-
 def _text(path: Path) -> tuple[bytes, str]:
     """Return a file's bytes, and its text in the encoding that its first lines name."""
     try:
         with path.open("rb") as file:
             content = file.read(4 * MAX_CHARACTERS + 1)  # a pipe may never end
-        if len(content) > 4 * MAX_CHARACTERS:
-            raise _too_long(path, "more than 500,000")
-        encoding, _ = tokenize.detect_encoding(io.BytesIO(content).readline)
-        text = io.TextIOWrapper(io.BytesIO(content), encoding).read()
+        endless = len(content) > 4 * MAX_CHARACTERS
+        text = "" if endless else importlib.util.decode_source(content)
     except FileNotFoundError:
         raise RewardError(
             f"there is no reward file {path}: give the path of a Python file that defines {NAME}"
@@ -242,15 +221,12 @@ def _text(path: Path) -> tuple[bytes, str]:
         raise RewardError(f"{path} is not UTF-8 text: give a Python file") from error
     except OSError as error:
         raise RewardError(f"{path} cannot be read: {error.strerror}") from error
-    if len(text) > MAX_CHARACTERS:
-        raise _too_long(path, f"{len(text):,}")
+    if endless or len(text) > MAX_CHARACTERS:
+        count = "more than 500,000" if endless else f"{len(text):,}"
+        raise RewardError(
+            f"{path} has {count} characters: a reward file has at most {MAX_CHARACTERS:,}"
+        )
     return content, text
-
-
-def _too_long(path: Path, count: str) -> RewardError:
-    return RewardError(
-        f"{path} has {count} characters: a reward file has at most {MAX_CHARACTERS:,}"
-    )
 
 
 class UserReward:
@@ -270,10 +246,9 @@ class UserReward:
         *,
         time_limit_s: float = TIME_LIMIT_S,
     ) -> None:
-        """Run the file once for each paid car; a call may last `time_limit_s` at most.
+        """Run the file once for each paid car; RewardError if it fails.
 
-        Raises:
-            RewardError: the file fails, or takes too long.
+        It fails, too, if a call lasts longer than `time_limit_s`.
         """
         self.source, self.cars = source, tuple(cars)
         self._builder = ParamsBuilder(sim, cars)
@@ -316,8 +291,7 @@ class UserReward:
     ) -> Paid:
         """Return each car's reward, (num_worlds, num_cars), and its only term; see Reward.
 
-        Raises:
-            RewardError: the user's code fails, takes too long, or returns no finite number.
+        RewardError if the user's code fails, takes too long, or returns no finite number.
         """
         rows = self._builder.rows(tracks, before, world, verdicts)
         rewards = np.zeros(verdicts.shape, dtype=np.float32)
@@ -357,12 +331,13 @@ class UserReward:
             raise self.source.failed(error, _when(world, car, steps), params) from error
         if type(value) is float and -LARGE <= value <= LARGE:
             return value
-        number = self.source.number(function, value, _when(world, car, steps))
+        when = _when(world, car, steps)
+        number = self.source.number(function, value, when)
         if abs(number) > LARGE and not self._large:
             self._large = True
             _LOG.warning(
                 "%s returned %g (%s): rewards beyond %g are hard to learn from, aim at about 1",
-                *(self.source.path, number, _when(world, car, steps), LARGE),
+                *(self.source.path, number, when, LARGE),
             )
         return number
 
@@ -386,7 +361,6 @@ def user_reward(
         cars: the paid cars; all others get 0.
         sim: the world's settings, as of the RaceEnv; None: the usual car, 15 steps per second.
 
-    Raises:
-        RewardError: the file cannot be read, is not Python, fails, or has no such function.
+    RewardError if the file cannot be read, is not Python, fails, or has no such function.
     """
     return UserReward(RewardFile.read(path), sim or SimConfig(), num_worlds, cars)
