@@ -128,6 +128,18 @@ def sigint_blocked() -> Generator[None]:
 
 
 @contextlib.contextmanager
+def handling(handler: Callable[[int, object], None], *numbers: int) -> Generator[None]:
+    """Have signals handled by a function; only the main thread receives any."""
+    receives = threading.current_thread() is threading.main_thread()
+    before = {number: signal.signal(number, handler) for number in numbers if receives}
+    try:
+        yield
+    finally:
+        for number, earlier in before.items():
+            signal.signal(number, earlier)
+
+
+@contextlib.contextmanager
 def _safe_path() -> Generator[None]:
     """Start Python without the working folder among the places that modules come from."""
     before = os.environ.get("PYTHONSAFEPATH")

@@ -7,9 +7,8 @@ import shlex
 import shutil
 import signal
 import sys
-import threading
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,11 +19,11 @@ from league import precompile
 from league.atomic_file import replacing
 from league.cli import train_settings
 from league.errors import ConfigError, PolicyError, RewardError
+from league.subprocesses import handling
 from league.training import config, run_folder
 from league.training.config import RunConfig
 
 if TYPE_CHECKING:
-    from league.racing.duels import Threshold
     from league.training.monitor.history import TrainingCallback
     from league.training.run import Outcome, Run
 
@@ -160,15 +159,10 @@ def _train(command: Train) -> int:
     cfg, is_first = command.cfg, distributed.is_first()
     if is_first and any(name.startswith("generated:") for name in cfg.tracks):
         print("Drawing the tracks; hundreds take half a minute.", flush=True)
-    with threads(cfg.threads), _interrupted_by_sigterm():
-        run = Run(cfg, command.folder)
-        try:
-            if command.resume:
-                _resume(command, run)
-            callbacks = _callbacks(command, run) if is_first else []
-        except BaseException:
-            run.close()
-            raise
+    with threads(cfg.threads), _interrupted_by_sigterm(), closing(Run(cfg, command.folder)) as run:
+        if command.resume:
+            _resume(command, run)
+        callbacks = _callbacks(command, run) if is_first else []
         try:
             outcome = run.learn(callbacks)
         except KeyboardInterrupt:
@@ -192,14 +186,8 @@ def _interrupted_by_sigterm() -> Generator[None]:
     def stop(number: int, frame: object) -> None:
         raise KeyboardInterrupt
 
-    if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread receives signals
-        return
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
+    with handling(stop, signal.SIGTERM):
         yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _resume(command: Train, run: Run) -> None:
@@ -246,9 +234,8 @@ def _callbacks(command: Train, run: Run) -> list[TrainingCallback]:
         # Before the page, which draws over whatever is printed while it is open.
         print(f"Watching live: {watching.address}", file=sys.stderr, flush=True)
         callbacks.append(watching)
-    page = Dashboard(
-        run.train, 60.0 * cfg.minutes or None, cfg.steps or None, cfg.name, plain=command.plain
-    )
+    budget = 60.0 * cfg.minutes or None, cfg.steps or None
+    page = Dashboard(run.train, *budget, cfg.name, plain=command.plain)
     callbacks += [page, TrainingPlot(run.folder / "training.png")]
     if command.tensorboard:
         from league.training.monitor.sinks import TensorBoard
@@ -259,17 +246,14 @@ def _callbacks(command: Train, run: Run) -> list[TrainingCallback]:
 
 def _kept(command: Train) -> str:
     """Keep the best policy of a run that ends early as --out; return what is kept, as a line."""
-    folder = command.folder
-    if not (folder / "state.pt").exists():
+    state, last, best = (command.folder / name for name in ("state.pt", "last.pt", "best.pt"))
+    if not state.exists():
         return "Nothing was learnt yet."
-    if not (folder / "last.pt").exists():
-        state = folder / "state.pt"
-        return f"Kept: {state}, with what the teacher has learnt; go on with --resume."
-    kept = f"Kept: {folder / 'last.pt'}"
-    if (folder / "best.pt").exists():
-        _copy(folder / "best.pt", command.out)
+    kept = f"{last}" if last.exists() else f"{state}, with what the teacher has learnt"
+    if best.exists():
+        _copy(best, command.out)
         kept += f", and the best so far as {command.out}"
-    return f"{kept}; go on with --resume."
+    return f"Kept: {kept}; go on with --resume."
 
 
 def _copy(best: Path, out: Path) -> None:
@@ -292,8 +276,14 @@ def _report(command: Train, outcome: Outcome) -> None:
     if outcome.evaluation is not None:
         print_table(outcome.evaluation)
     _copy(outcome.best, command.out)
-    if outcome.duels is not None:
-        print(_pace_of_rivals(outcome.duels))
+    if (found := outcome.duels) is not None:
+        none = "no pace that was tried"
+        passes = f"{100 * found.pace:.0f} % of its own pace" if found.pace else none
+        holds = f"up to {100 * found.hold:.0f} %" if found.hold else none
+        print(
+            f"Against itself, slowed: it passes rivals of {passes} cleanly in half of the races, "
+            f"and keeps behind it rivals of {holds}"
+        )
     print(
         f"{outcome.samples} decisions in {outcome.time_s:.0f} s; stopped because {outcome.why}.\n"
         f"Best policy: {command.out}\n"
@@ -313,14 +303,4 @@ def _next_step(command: Train, outcome: Outcome) -> str:
     return (
         "No lap is complete yet. Train on with twice the budget: "
         f"league train --resume --out {out} {' '.join(more)}"
-    )
-
-
-def _pace_of_rivals(found: Threshold) -> str:
-    """Return how fast rivals are that the best policy of self-play passes, and keeps behind."""
-    passes = f"{100 * found.pace:.0f} % of its own pace" if found.pace else "no pace that was tried"
-    holds = f"up to {100 * found.hold:.0f} %" if found.hold else "no pace that was tried"
-    return (
-        f"Against itself, slowed: it passes rivals of {passes} cleanly in half of the races, and "
-        f"keeps behind it rivals of {holds}"
     )

@@ -14,14 +14,7 @@ from league.agents.policy import Policy
 from league.atomic_file import replacing
 from league.envs import rewards
 from league.envs.rewards import Reward
-from league.errors import (
-    ConfigError,
-    LeagueError,
-    PolicyError,
-    brief,
-    explaining,
-    first_problem,
-)
+from league.errors import ConfigError, LeagueError, PolicyError, brief, explaining, first_problem
 from league.racing import duels, trace
 from league.racing.duels import DuelConfig, Threshold
 from league.racing.table import Evaluation
@@ -180,11 +173,7 @@ class Run:
         try:
             if self.learner.updates == 0 and distributed.is_first():
                 self._prepare()
-        except BaseException:
-            self.close()
-            raise
-        started = time.perf_counter() - self.spent_s
-        try:
+            started = time.perf_counter() - self.spent_s
             with distributed.interrupted_together() as interruption_point:
                 while not distributed.agreed(bool(self.over)):
                     update = self._updated()
@@ -364,17 +353,14 @@ class Run:
             changes = {"sensors": racer.cfg.sensors, "network": racer.cfg.network}
             card = self._card(racer.samples).model_copy(update=changes)
             checkpoint.save(self.folder / "truth.pt", Checkpoint(card, racer.weights()))
-        notes: dict[str, object] = {
-            "spent_s": self.spent_s,
-            "complete": self._complete,
-            "best": list(self._best or ()),
-        }
+        notes: dict[str, object] = {"spent_s": self.spent_s, "complete": self._complete}
+        notes["best"] = list(self._best or ())
         if self._simtrace is not None:
             self._simtrace.flush()
             notes["simtrace"] = list(self._simtrace.position)
         self.learner.save(self.folder / "state.pt", notes)
-        printed = getattr(self._reward, "printed", ())  # of a reward file, not of a built-in one
-        if printed:
+        # Of a reward file, not of a built-in one.
+        if printed := getattr(self._reward, "printed", ()):
             path = self.folder / run_folder.PRINTED
             with replacing(path, "what the reward function printed", PolicyError) as file:
                 file.write_text("".join(f"{line}\n" for line in printed), encoding="utf-8")

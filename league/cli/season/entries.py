@@ -316,7 +316,7 @@ class Create(OnLeague):
         with self.opened() as store:
             secret, token = store.tokens.create(self.owner, self.scope, life_s=life_s)
         print(secret)
-        ends = times.day(token.expires_s) if token.expires_s else "never"
+        ends = times.day(token.expires_s) or "never"
         print(
             f"Token {token.number} of {token.owner}: {', '.join(token.scopes)}; ends {ends}. It is "
             "shown only now; give it to its owner as LEAGUE_TOKEN."
@@ -335,9 +335,9 @@ class List(Reading):
             return
         rows, now_s = [], time.time()
         for token in tokens:
-            scopes, state = " ".join(token.scopes), token.state(now_s)
-            ends, used = _day(token.expires_s), _day(token.used_s)
-            rows.append((token.number, token.owner, scopes, state, ends, used))
+            days = (times.day(one)[:10] or "never" for one in (token.expires_s, token.used_s))
+            scopes = " ".join(token.scopes)
+            rows.append((token.number, token.owner, scopes, token.state(now_s), *days))
         heads = ("number", "owner", "scopes", "state", "ends", "last used")
         tables.table("Tokens", heads, rows, "last used", "ends")
 
@@ -363,7 +363,3 @@ class ManageTokens:
         | Annotated[List, subcommand("list")]
         | Annotated[Revoke, subcommand("revoke")]
     )
-
-
-def _day(seconds: float | None) -> str:
-    return "never" if seconds is None else times.day(seconds)[:10]

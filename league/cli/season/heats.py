@@ -25,10 +25,11 @@ from league.errors import ConfigError, StoreError
 if TYPE_CHECKING:
     from league.matchmaking.store import Store
 
-COLUMNS: tuple[str, ...] = (
-    "heat", "race", "key", "purpose", "ruleset", "track", "seed", "slot", "entry", "id", "owner",
-    "place", "finished", "laps", "total_s", "distance", "off_tracks", "crashes", "overtakes",
-)  # fmt: skip
+FIGURES = ("finished", "laps", "total_s", "distance", "off_tracks", "crashes", "overtakes")
+COLUMNS = (
+    *("heat", "race", "key", "purpose", "ruleset", "track", "seed"),
+    *("slot", "entry", "id", "owner", "place", *FIGURES),
+)
 """Columns of an export: one line for each car of each race."""
 EXPORTED = 500  # Heats read at a time by an export.
 VERDICTS = {
@@ -63,10 +64,9 @@ class Heats(Reading):
             return
         rows = []
         for record in records:
-            half = record.heat.halves[0]
-            grid = " - ".join(names[id] for id in half.grid)
-            what = record.heat.purpose, record.state, half.track
-            rows.append((record.number, grid, *what, times.day(record.done_s)[5:]))
+            heat, half = record.heat, record.heat.halves[0]
+            grid, done = " - ".join(names[id] for id in half.grid), times.day(record.done_s)[5:]
+            rows.append((record.number, grid, heat.purpose, record.state, half.track, done))
         heads = ("heat", "grid", "purpose", "state", "track", "done")
         tables.table("Heats", heads, rows, "done", "track")
 
@@ -89,14 +89,13 @@ class ShowHeat(Reading):
         if self.json:
             season.print_json({**documents.heat_document(record, names), "results": results})
             return
-        print(
-            f"Heat {record.number} ({record.heat.purpose}), {record.state}, key {record.heat.key}"
-        )
+        heat = record.heat
+        print(f"Heat {record.number} ({heat.purpose}), {record.state}, key {heat.key}")
         if record.worker:
             print(f"raced by {record.worker}, try {record.attempts}")
-        disputed = len(results) > len(record.heat.halves)
+        disputed = len(results) > len(heat.halves)
         for result in results:
-            half = record.heat.halves[result.half]
+            half = heat.halves[result.half]
             title = f"Race {result.half + 1} on {half.track}"
             if record.seeds:
                 title += f", seed {record.seeds[result.half]}"
@@ -145,10 +144,10 @@ class Retry(OnLeague):
                     f"heat {record.number} is {record.state}: only heats in error, in quarantine "
                     "or cancelled ones can be tried again"
                 )
-        what = f"Heat {number}"
-        if number != record.number:
-            what += f", which heat {record.number} audited,"
-        print(f"{what} waits to be raced again: `league run` or `league work` does it.")
+        what = f", which heat {record.number} audited," if number != record.number else ""
+        print(
+            f"Heat {number}{what} waits to be raced again: `league run` or `league work` does it."
+        )
         if record.state == "quarantined":
             print(f"Then `league heat {number}` shows which result was found again, if any.")
 
@@ -268,20 +267,11 @@ def _rows(store: Store) -> Iterator[dict[str, object]]:
             record = by_number[result.heat]
             half = record.heat.halves[result.half]
             order = () if result.rejected else result.result["order"]
+            heat, seed = record.heat, record.seeds[result.half] if record.seeds else ""
+            race = record.number, result.half + 1, heat.key, heat.purpose, heat.ruleset[:12]
             for car in sorted(order, key=lambda car: car["car"]):
-                entry = entries[half.grid[car["car"]]]
-                yield {
-                    "heat": record.number,
-                    "race": result.half + 1,
-                    "key": record.heat.key,
-                    "purpose": record.heat.purpose,
-                    "ruleset": record.heat.ruleset[:12],
-                    "track": half.track,
-                    "seed": record.seeds[result.half] if record.seeds else "",
-                    "slot": car["car"] + 1,
-                    "entry": entry.name,
-                    "id": entry.id,
-                    "owner": entry.owner,
-                    "place": result.places[car["car"]],
-                    **{name: car[name] for name in COLUMNS[12:]},
-                }
+                slot = car["car"]
+                entry = entries[half.grid[slot]]
+                driver = slot + 1, entry.name, entry.id, entry.owner, result.places[slot]
+                figures = (car[name] for name in FIGURES)
+                yield dict(zip(COLUMNS, (*race, half.track, seed, *driver, *figures), strict=True))

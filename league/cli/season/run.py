@@ -196,6 +196,8 @@ class Site(OnLeague):
 @contextmanager
 def _stopping() -> Generator[Callable[[], bool]]:
     """Turn the first Ctrl-C or SIGTERM into a request to stop; the second one stops at once."""
+    from league.subprocesses import handling
+
     requests: list[int] = []
 
     def request(number: int, _frame: object) -> None:
@@ -204,12 +206,8 @@ def _stopping() -> Generator[Callable[[], bool]]:
         requests.append(number)
         print("Finishing the heats under way; Ctrl-C again leaves them.", file=sys.stderr)
 
-    before = {number: signal.signal(number, request) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
+    with handling(request, signal.SIGINT, signal.SIGTERM):
         yield lambda: bool(requests)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _print_tally(tally: Tally, over: str) -> None:

@@ -7,7 +7,6 @@ Without torchrun this process is the only rank, and torch.distributed is not ini
 import contextlib
 import os
 import signal
-import threading
 from collections.abc import Callable, Generator
 from typing import Any, TypeVar
 
@@ -16,6 +15,7 @@ import torch
 from torch import distributed
 
 from league.errors import ConfigError, LeagueError, brief
+from league.subprocesses import handling
 
 _Value = TypeVar("_Value")
 
@@ -161,15 +161,8 @@ def interrupted_together() -> Generator[Callable[[], None]]:
             _wait_for_first()
             raise KeyboardInterrupt
 
-    handlers: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():  # others receive no signals
-        for number in (signal.SIGINT, signal.SIGTERM):
-            handlers[number] = signal.signal(number, lambda number, _: received.append(number))
-    try:
+    with handling(lambda number, _: received.append(number), signal.SIGINT, signal.SIGTERM):
         yield place
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
 
 
 def _wait_for_first() -> None:
