@@ -18,12 +18,9 @@ INK, GRID = "#1d2733", "#e0e4e8"
 
 def figure(width: float, height: float) -> Figure:
     """Return an empty white figure of this size [inches]."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    empty = Figure(figsize=(width, height), layout="constrained", facecolor="white")
-    FigureCanvasAgg(empty)
-    return empty
+    return Figure(figsize=(width, height), layout="constrained", facecolor="white")
 
 
 def strip(axes: Axes, *, keep: tuple[str, ...] = ()) -> None:

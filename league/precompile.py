@@ -221,11 +221,7 @@ GROUPS = (
 """Parts that one process compiles, each half of the work. Those that need a whole simulator are in
 the first group, and nothing of the second calls what they compile, so neither does work twice."""
 PARTS: dict[str, Callable[[], None]] = {
-    part.__name__.removeprefix("_"): part
-    for part in (
-        *(_worlds, _sensors, _scripted, _cameras, _videos, _policies, _places),
-        *(_bullet, _reward_functions),
-    )
+    part: globals()[f"_{part}"] for group in GROUPS for part in group
 }
 
 

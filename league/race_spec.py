@@ -7,14 +7,7 @@ reason.
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    ValidationError,
-    model_validator,
-)
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from league import times
 from league.errors import ConfigError, brief, first_problem
@@ -28,23 +21,10 @@ from league.sim.config import (
 )
 
 EventKind = Literal[
-    "start",
-    "lap",
-    "finish",
-    "off_track",
-    "crash",
-    "contact",
-    "touch",
-    "forced_off",
-    "obstacle_contact",
-    "wall_contact",
-    "immobilised",
-    "reversed",
-    "put_back",
-    "overtake",
-    "lead_change",
-    "driver_fault",
-]
+    "start", "lap", "finish", "off_track", "crash", "contact", "touch", "forced_off",
+    "obstacle_contact", "wall_contact", "immobilised", "reversed", "put_back", "overtake",
+    "lead_change", "driver_fault",
+]  # fmt: skip
 
 
 class FrozenModel(BaseModel):
@@ -119,12 +99,8 @@ class RaceSpec(FrozenModel):
     @model_validator(mode="before")
     @classmethod
     def _with_usual_obstacles(cls, settings: object) -> object:
-        match settings:
-            case {"obstacles": _}:
-                return settings
-            case {"kind": "obstacle_avoidance", **others}:
-                usual = {"kind": "obstacle_avoidance", "obstacles": USUAL_OBSTACLES}
-                return {**others, **usual}
+        if isinstance(settings, dict) and settings.get("kind") == "obstacle_avoidance":
+            return {"obstacles": USUAL_OBSTACLES, **settings}
         return settings
 
 

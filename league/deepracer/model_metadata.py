@@ -47,12 +47,9 @@ class Metadata:
 
     action_space: ActionSpace  # What the policy chooses from.
     sensors: SensorConfig  # What its car carries.
-    version: str = "1"
-    """Version of the original's simulator, "1" to "6"; the physics here is the same for all."""
-    training_algorithm: Algorithm = "clipped_ppo"
-    """How it was trained; the league trains by clipped PPO only."""
-    neural_network: str = NETWORKS[0]
-    """Which of the original's networks; the league's training settings choose its own."""
+    version: str = "1"  # Of the original's simulator, "1" to "6"; the physics here is one for all.
+    training_algorithm: Algorithm = "clipped_ppo"  # How it was trained; here only by clipped PPO.
+    neural_network: str = NETWORKS[0]  # Which of the original's; training here has its own.
     notes: tuple[str, ...] = ()  # Differences between the file and what the league does.
 
 
@@ -190,9 +187,8 @@ def _clipped(speed: float) -> float:
 
 
 def _notes(file: _DiscreteFile | _ContinuousFile) -> tuple[str, ...]:
-    space = file.action_space
+    space, notes = file.action_space, []
     speeds = [one.speed for one in space] if isinstance(space, list) else [space.speed.high]
-    notes = []
     if file.training_algorithm == "sac":
         notes.append("asks for sac; the league trains by clipped PPO")
     if max(speeds) > MAX_SPEED:

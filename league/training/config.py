@@ -27,10 +27,9 @@ from league.sim.config import CameraConfig, RaceKind, RulesName, SensorConfig
 _RACING_ROWS = 1536  # cars in all worlds, where all learn to race on the true state
 _T = TypeVar("_T")
 Hidden = Annotated[_T, Fixed, Suppress]  # a setting without a flag
+# Metadata of settings that a resume may change; without metadata a setting is kept.
 FREE = {"resume": "free"}
-"""Metadata of settings that a resume may change; without metadata a setting is kept."""
-GROWS = {"resume": "grows"}
-"""Metadata of settings that a resume may raise, or set to 0, which is no limit."""
+GROWS = {"resume": "grows"}  # it may be raised, or set to 0, which is no limit
 
 
 def _check(what: str, value: float, low: float, high: float, advice: str) -> None:
@@ -58,10 +57,8 @@ class PpoConfig:
     """First and last standard deviation of exploration of continuous actions, falling
     geometrically; 0.3 and 0.05 by default with --init-from, 1 and 0.06 in short runs."""
     clip: Hidden[float] = 0.2  # Largest change of a decision's probability ratio that still counts.
-    pull: Hidden[float] = 0.1
-    """How strongly means beyond [-1, 1] are pulled back; `BoundedGaussian` in models.py."""
-    entropy: Hidden[tuple[float, float]] = (0.01, 0.0)
-    """Weight of the entropy of discrete actions, falling linearly."""
+    pull: Hidden[float] = 0.1  # Strength by which means beyond [-1, 1] are pulled back (models.py).
+    entropy: Hidden[tuple[float, float]] = (0.01, 0.0)  # Its weight, for discrete actions; linear.
     value_clip: Hidden[bool] = False  # Whether the critic may move by clip only, as in PPO2.
     max_gradient: Hidden[float] = 1.0  # Norm to which gradients are cut.
 
@@ -111,8 +108,7 @@ class TrainConfig:
     """Cars in each world, the learner's included; in self-play 2 by default."""
     seed: int = 0  # Seed of weights, worlds and exploration.
     device: str = "cpu"  # cpu, or cuda; under torchrun each process takes a card of its own.
-    action_space: Hidden[ActionSpace] = field(default_factory=ContinuousActions)
-    """What the policy may ask for."""
+    action_space: Hidden[ActionSpace] = field(default_factory=ContinuousActions)  # Of the policy.
     sensors: Hidden[SensorConfig] = field(
         default_factory=lambda: SensorConfig(camera=CameraConfig(width=64, height=48))
     )
@@ -121,10 +117,8 @@ class TrainConfig:
         default_factory=lambda: NetworkConfig(strides=(4, 2, 1), activation="elu")
     )
     """Its layers."""
-    critic_hidden: Hidden[tuple[int, ...]] = (128, 128)
-    """Layers of the critic, which sees the true state."""
-    reward: Hidden[RewardConfig] = field(default_factory=RewardConfig)
-    """Weights of the built-in terms, unless a reward function is given."""
+    critic_hidden: Hidden[tuple[int, ...]] = (128, 128)  # Layers of the critic, who sees the truth.
+    reward: Hidden[RewardConfig] = field(default_factory=RewardConfig)  # Weights of built-in terms.
     teacher: float = 0.0
     """Share of the budget in which a teacher that sees the true state learns first, for the policy
     to learn from: 0.4, say, for the fastest laps. The policy begins with three eighths of
@@ -149,10 +143,9 @@ class TrainConfig:
     def __post_init__(self) -> None:
         _check("num_worlds", self.num_worlds, 1, 65_536, "1 to 65536")
         _check("seed", self.seed, 0, 2**31 - 1, f"0 to {2**31 - 1}")
-        none_to = "0, which is none, to"
-        _check("the teacher's share of the budget", self.teacher, 0, 0.9, f"{none_to} 0.9")
-        spread = self.dynamics_randomization
-        _check("dynamics_randomization", spread, 0, 2, f"{none_to} 2")
+        none = "0, which is none, to"
+        _check("the teacher's share of the budget", self.teacher, 0, 0.9, f"{none} 0.9")
+        _check("dynamics_randomization", self.dynamics_randomization, 0, 2, f"{none} 2")
         _check("save_every", self.save_every, 1, math.inf, "at least 1")
 
     @property

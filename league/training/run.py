@@ -135,7 +135,7 @@ class Run:
         more = self.cfg.budget != config.read(self.folder).budget
         if more:
             self._complete = 0  # more time is given for more than complete laps
-        distributed.wait()  # all have read before the first one writes
+        distributed.gather(None)  # all have read before the first one writes
         if not distributed.is_first():
             return
         self._lock = run_folder.lock(self.folder)

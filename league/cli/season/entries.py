@@ -168,8 +168,7 @@ class Entries(Reading):
         with self.opened() as store:
             entries = matchmaker.entries_with_reasons(store)
         if self.json:
-            season.print_json(entries)
-            return
+            return season.print_json(entries)
         rows = []
         for entry in entries:
             kind = "anchor" if entry.anchor else entry.kind
@@ -331,8 +330,7 @@ class List(Reading):
         with self.opened() as store:
             tokens = store.tokens.listed()
         if self.json:
-            season.print_json(tokens)
-            return
+            return season.print_json(tokens)
         rows, now_s = [], time.time()
         for token in tokens:
             days = (times.day(one)[:10] or "never" for one in (token.expires_s, token.used_s))

@@ -58,8 +58,7 @@ class Gauntlet(Reading):
                     store, executor, newcomer, opponents, rounds=self.rounds, watch=watch
                 )
         if self.json:
-            season.print_json(placed)
-            return
+            return season.print_json(placed)
         rows = [(name, races, f"{points:g}") for name, races, points in placed.against]
         tables.table(f"Gauntlet of {newcomer.card.name}", ("opponent", "races", "points"), rows)
         rating = season.plus_minus(placed.elo, placed.low95, placed.high95)
@@ -118,8 +117,7 @@ class Compare(Reading):
                     store, executor, one, other, settings, most_heats=self.heats, watch=watch
                 )
         if self.json:
-            season.print_json(result)
-            return
+            return season.print_json(result)
         print(self._verdict(result, one.name, other.name))
         share, lead = f"{100 * result.score:.1f} %", _elo(result.elo)
         print(

@@ -60,8 +60,7 @@ class Heats(Reading):
             records = store.heats(states, entries=numbers)[-self.limit :]
             names = documents.names_of(store.entries())
         if self.json:
-            season.print_json([documents.heat_document(record, names) for record in records])
-            return
+            return season.print_json([documents.heat_document(record, names) for record in records])
         rows = []
         for record in records:
             heat, half = record.heat, record.heat.halves[0]
@@ -87,8 +86,7 @@ class ShowHeat(Reading):
             results = store.results(record.number)
             audited = store.heat(record.heat.audits).number if record.heat.audits else 0
         if self.json:
-            season.print_json({**documents.heat_document(record, names), "results": results})
-            return
+            return season.print_json({**documents.heat_document(record, names), "results": results})
         heat = record.heat
         print(f"Heat {record.number} ({heat.purpose}), {record.state}, key {heat.key}")
         if record.worker:

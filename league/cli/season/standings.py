@@ -36,8 +36,7 @@ class ShowStandings(Reading):
         with self.opened() as store:
             rated = standings.of(store)
         if self.json:
-            season.print_json(documents.standings_document(rated, self.top))
-            return
+            return season.print_json(documents.standings_document(rated, self.top))
         tables.console().print(standings_table(rated, self.top))
         for line in _notes(rated):
             print(line)
@@ -65,8 +64,7 @@ class ShowEntry(Reading):
             records = [{"name": other.name, **documents.plain(record)} for other, record in others]
             heats = [{"number": heat.number, "state": heat.state} for heat in recent]
             document = {"entry": entry, "standing": row, "against": records, "heats": heats}
-            season.print_json(document)
-            return
+            return season.print_json(document)
         print(f"{entry.name} by {entry.owner}   {entry.id}")
         reason = f", {tables.spelled(entry.reason)}" if entry.reason else ""
         print(f"{entry.state}{reason}, {'anchor' if entry.anchor else entry.kind}")
@@ -131,8 +129,7 @@ class ShowHistory(Reading):
             entry = store.entry(self.entry)
             moments = history.history(store, entry, points=self.points)
         if self.json:
-            season.print_json(moments)
-            return
+            return season.print_json(moments)
         rows = []
         for moment in moments:
             elo = season.plus_minus(moment.elo, moment.low95, moment.high95)
@@ -215,8 +212,7 @@ def _h2h(store: Store, one: LeagueEntry, other: LeagueEntry, as_json: bool) -> N
     heats = [heat.number for heat in store.heats(("done",), entries=[one.number, other.number])]
     if as_json:
         document = {"one": one.name, "other": other.name, "difference": gap, "record": record}
-        season.print_json({**document, "heats": heats})
-        return
+        return season.print_json({**document, "heats": heats})
     print(f"{one.name} - {other.name}: {gap.elo:+.0f} Elo ({gap.low95:+.0f} to {gap.high95:+.0f})")
     print(f"{one.name} is the stronger one with probability {gap.sureness}")
     print(
@@ -237,14 +233,13 @@ def _matrix(store: Store, top: int, as_json: bool) -> None:
     pairs = list(combinations(rows, 2))
     forth = [standings.head_to_head(rated, one.number, other.number) for one, other in pairs]
     if as_json:
-        season.print_json(
+        return season.print_json(
             [
                 {"one": one.name, "other": other.name, "points": record.points}
                 | documents.plain(record)
                 for (one, other), record in zip(pairs, forth, strict=True)
             ]
         )
-        return
     cells = {}
     for (one, other), record in zip(pairs, forth, strict=True):
         if record.races:
@@ -304,8 +299,9 @@ class Seasons(Reading):
     def _list(self, store: Store) -> None:
         known = store.seasons()
         if self.json:
-            season.print_json([{"season": one, "frozen": store.frozen(one)} for one in known])
-            return
+            return season.print_json(
+                [{"season": one, "frozen": store.frozen(one)} for one in known]
+            )
         if not known:
             print("This league has no seasons: all its races are one. `league season start` begins")
             print("the first one, which has all races so far, and `league season end` ends it.")

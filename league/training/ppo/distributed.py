@@ -108,11 +108,6 @@ def agreed(value: _Value) -> _Value:
     return gather(value)[0]
 
 
-def wait() -> None:
-    """Wait until all ranks have come here."""
-    gather(None)
-
-
 @contextlib.contextmanager
 def exchange() -> Generator[None]:
     """Raise a LeagueError if a rank has ended while this one waits for it."""

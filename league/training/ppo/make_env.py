@@ -97,12 +97,20 @@ VISUAL_RANDOMIZATION = VisualRandomization(light=0.3, colour=0.15, noise=6.0, bl
 
 def env_config(cfg: TrainConfig) -> EnvConfig:
     """Return the settings of the worlds."""
+    share = cfg.dynamics_randomization
     sim = SimConfig(
         kind=cfg.kind,
         num_cars=cfg.num_cars,
         obstacles=ObstacleConfig(count=cfg.obstacles, kind="bot" if cfg.bots else "box"),
         rules=replace(RULES[cfg.rules], laps=_ENDLESS),
-        spread=_spread(cfg.dynamics_randomization),
+        spread=DynamicsRandomization(
+            grip=GRIP_SPREAD * share,
+            mass=0.1 * share,
+            latency_s=0.03 * share,
+            steering_offset=0.02 * share,
+            camera_position=0.01 * share,
+            camera_angle=0.02 * share,
+        ),
     )
     # Cars that start anywhere on a lap hardly ever meet.
     shortest = min(Scenarios.shortest, cfg.episode_s)
@@ -117,18 +125,6 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         reward=cfg.reward,
         episode_s=cfg.episode_s,
         scenarios=meeting,
-    )
-
-
-def _spread(share: float) -> DynamicsRandomization:
-    """Return how far cars differ; a share of 1 as cars of one model do."""
-    return DynamicsRandomization(
-        grip=GRIP_SPREAD * share,
-        mass=0.1 * share,
-        latency_s=0.03 * share,
-        steering_offset=0.02 * share,
-        camera_position=0.01 * share,
-        camera_angle=0.02 * share,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import torch
@@ -50,12 +51,9 @@ class EpisodeStatistics:
         self._clear()
 
     def add(self, rewards: Tensor, dones: Tensor, extras: dict[str, Any]) -> None:
-        """Add one step of all rows.
+        """Add one step of all rows; all are (num_rows,).
 
-        Args:
-            rewards: of the step, (num_rows,).
-            dones: 1 where an episode of the worlds has ended, (num_rows,).
-            extras: with `driven`, laps since it started, (num_rows,).
+        `dones` is 1 where an episode of the worlds has ended; `extras` has `driven`, laps since.
         """
         self._reward = self._reward + rewards.to("cpu")
         self._steps = self._steps + 1
@@ -174,12 +172,8 @@ class RewardNormalization:
 
     def synchronize(self) -> None:
         """Join what each rank has seen since the last time, so that all divide by the same."""
-        if distributed.count() == 1:
-            return
-        seen = self._shared
-        for recent in distributed.gather(self._recent):
-            seen = seen.joined(recent)
-        self.restore(seen)
+        if distributed.count() > 1:
+            self.restore(reduce(Moments.joined, distributed.gather(self._recent), self._shared))
 
     @property
     def deviation(self) -> float:

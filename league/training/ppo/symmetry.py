@@ -65,11 +65,9 @@ def observations(groups: TensorDict, sensors: SensorConfig) -> TensorDict:
     mirrored: dict[str, Tensor] = {}
     for name in map(str, groups.keys()):
         group = groups[name]
-        if name == "stereo":
-            assert sensors.camera is not None
+        if name == "stereo" and sensors.camera is not None:
             mirrored[name] = stereo(group, sensors.camera.num_eyes, sensors.frames)
-        elif name == "lidar":
-            assert sensors.lidar is not None
+        elif name == "lidar" and sensors.lidar is not None:
             mirrored[name] = lidar(group, sensors.lidar)
         elif name == "history":
             mirrored[name] = history(group, sensors)
