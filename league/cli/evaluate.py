@@ -280,19 +280,17 @@ class ScoreReplay:
             scores.append(rescore.score(race, reward, shown))
         path = self.out or self.replay.with_suffix(".reward.png")
         rescore.draw(race, scores, path)
+        cars = list(enumerate(race.names))
         if self.json:
             documents = []
             for one in scores:
                 totals = [
-                    {"car": car, "name": name, "total": float(one.totals[car])}
-                    for car, name in enumerate(race.names)
+                    {"car": k, "name": name, "total": float(one.totals[k])} for k, name in cars
                 ]
                 documents.append({"reward": one.name, "totals": totals})
             print(json.dumps({"picture": str(path), "scores": documents}, indent=2))
             return
-        rows = []
-        for car, name in enumerate(race.names):
-            rows.append((name, "", *(f"{one.totals[car]:,.2f}" for one in scores)))
+        rows = [(name, "", *(f"{one.totals[k]:,.2f}" for one in scores)) for k, name in cars]
         heads = ("driver", "", *(one.name for one in scores))
         tables.table("Reward of the whole race", heads, rows)
         print(f"Picture: {path}")
@@ -333,10 +331,9 @@ def _print_report(report: Report) -> None:
         )
     for warning in report.warnings:
         print(f"Note: {warning}")
-    printed = report.source.prints.lines
-    if printed:
-        print(f"It prints; the last {min(len(printed), _PRINTED)} lines:")
-        for line in printed[-_PRINTED:]:
+    if printed := report.source.prints.lines[-_PRINTED:]:
+        print(f"It prints; the last {len(printed)} lines:")
+        for line in printed:
             print(f"  {line[:160]}")
 
 
@@ -363,7 +360,6 @@ def _row(one: DriveReport) -> tuple[str, ...]:
 
 
 def _short(value: float) -> str:
-    """Return a number in few characters."""
     return f"{value:.2f}" if value == 0 or 0.01 <= abs(value) < 1e4 else f"{value:.0e}"
 
 

@@ -35,9 +35,8 @@ class ListTracks:
             return
         rows = []
         for one in reports:
-            length, width = f"{one['length']:.2f}", f"{one['width']:.3f}"
-            radius = f"{one['min_radius']:.2f}"
-            rows.append((one["name"], one["title"], length, width, radius, one["direction"]))
+            sizes = f"{one['length']:.2f}", f"{one['width']:.3f}", f"{one['min_radius']:.2f}"
+            rows.append((one["name"], one["title"], *sizes, one["direction"]))
         heads = ("name", "title", "length", "width", "radius", "driven")
         tables.table("Tracks", heads, rows, "title", "driven", "radius")
         print("Lengths, widths and smallest radii in metres.")
@@ -226,11 +225,10 @@ class Export(OnLeague):
         from league.agents import checkpoint, export, roster
 
         source, outputs = self.checkpoint, list(self.onnx or ())
-        for path in outputs:
-            if source is None and path.suffix == ".pt":  # as in `--onnx a.pt`
-                source = str(path)
-                outputs.remove(path)
-                break
+        named = [path for path in outputs if path.suffix == ".pt"]
+        if source is None and named:  # as in `--onnx a.pt`
+            source = str(named[0])
+            outputs.remove(named[0])
         if source is None:
             raise ConfigError(
                 "nothing was named to export: give a checkpoint (FILE.pt), or --csv FILE or "

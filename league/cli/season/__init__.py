@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -85,18 +84,13 @@ def share(text: str, flag: str) -> float:
     return number
 
 
-@contextmanager
 def local_workers(
     num_workers: int, kind: Literal["processes", "ray"] = "processes"
-) -> Generator[Executor]:
-    """Start workers, one for each core if 0 were asked for, and end them afterwards."""
+) -> closing[Executor]:
+    """Start workers, one for each core if 0 were asked for; `with` ends them afterwards."""
     from league.matchmaking import workers
 
-    executor = workers.make_executor(kind, num_workers or os.cpu_count() or 1)
-    try:
-        yield executor
-    finally:
-        executor.close()
+    return closing(workers.make_executor(kind, num_workers or os.cpu_count() or 1))
 
 
 def print_json(value: object) -> None:

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, arg, subcommand
 
 from league import times
+from league.atomic_file import replacing
 from league.cli import season, tables
 from league.cli.season import OnLeague, OnServer, Reading
-from league.errors import ConfigError, nearest_names
+from league.errors import ConfigError, PolicyError, nearest_names
 
 if TYPE_CHECKING:
     from league.matchmaking.pairing.heat_spec import Ruleset
@@ -136,9 +137,6 @@ class Pack:
     """Where to write it; by default here, under the checkpoint's name, ending in .safetensors."""
 
     def run(self) -> None:
-        from league.atomic_file import replacing
-        from league.errors import PolicyError
-
         content = _packed(self.driver)
         path = self.out or Path(f"{Path(self.driver).stem}.safetensors")
         with replacing(path, "the packed checkpoint", PolicyError) as file:
@@ -205,9 +203,8 @@ class Retire(OnServer):
                 if not self.yes and entry.state != "retired" and not _confirmed(what):
                     print(f"{name} stays {entry.state}.")
                     return 1
-                changed = bool(
-                    store.move({entry.id: "retired"}, reason=self.reason, actor=entry.owner)
-                )
+                states = {entry.id: "retired"}
+                changed = bool(store.move(states, reason=self.reason, actor=entry.owner))
         print(f"{name} {'is retired' if changed else 'was retired already'}.")
         return 0
 

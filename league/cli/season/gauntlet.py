@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import shlex
 import sys
@@ -14,7 +15,7 @@ from tyro.conf import Positional, arg
 
 from league.cli import season, tables
 from league.cli.season import Reading
-from league.errors import ConfigError
+from league.errors import ConfigError, StoreError
 
 if TYPE_CHECKING:
     from league.matchmaking.ratings.sprt import Comparison
@@ -131,11 +132,9 @@ class Compare(Reading):
             chance = f"{100 * self.alpha:g} %, if its lead were {self.elo0:g} Elo"
             return f"Yes, {other} is better than {one}. (Chance of a wrong yes: {chance}.)"
         if result.decision == "not better":
-            chance = f"{100 * self.beta:g} %, if it were"
-            return (
-                f"No, {other} is not better than {one} by {self.elo1:g} Elo. (Chance of a wrong "
-                f"no: {chance}.)"
-            )
+            chance, lead = f"{100 * self.beta:g} %, if it were", f"{self.elo1:g} Elo"
+            verdict = f"No, {other} is not better than {one} by {lead}."
+            return f"{verdict} (Chance of a wrong no: {chance}.)"
         return (
             f"Not decided after {tables.counted(result.heats, 'heat')}: whether {other} is better "
             f"than {one}. More heats may decide: --heats {4 * self.heats}"
@@ -162,12 +161,10 @@ def _driver(store: Store, text: str) -> HeatDriver:
 
 
 def _slot_gap(store: Store) -> float:
-    """Return what the front slot is worth by the league's own races [Elo]."""
-    from league.errors import StoreError
+    """Return what the front slot is worth by the league's own races [Elo]; 0 without any."""
     from league.matchmaking import standings
 
-    try:
+    with contextlib.suppress(StoreError):
         slots = standings.of(store).ratings.slot_advantages
-    except StoreError:
-        return 0.0  # no entry has raced yet
-    return float(slots[0] - slots[1])
+        return float(slots[0] - slots[1])
+    return 0.0

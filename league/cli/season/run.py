@@ -10,7 +10,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Generator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -187,10 +187,8 @@ class Site(OnLeague):
         season.at_least(self, "heats", 0)
         with self.opened() as store:
             written = site.export(store, self.folder, heats=self.heats, season=self.season)
-        print(
-            f"{written.pages} pages, {written.heats} of them with a race to watch: "
-            f"{self.folder / 'index.html'}"
-        )
+        first = self.folder / "index.html"
+        print(f"{written.pages} pages, {written.heats} of them with a race to watch: {first}")
 
 
 @contextmanager
@@ -212,14 +210,13 @@ def _stopping() -> Generator[Callable[[], bool]]:
 
 def _print_tally(tally: Tally, over: str) -> None:
     """Print what was raced; `over` is the name of the season if it has ended."""
-    if tally.idle and not tally.heats and over:
-        print(f"The season {over!r} is over: begin the next one with `league season start`.")
-        return
     if tally.idle and not tally.heats:
-        print(
+        begin = f"The season {over!r} is over: begin the next one with `league season start`."
+        submit = (
             "There is nothing to race: submit an entry with `league submit FILE.pt`; "
             "entries of one owner meet with --same-owner."
         )
+        print(begin if over else submit)
         return
     rate = tally.race_s / tally.worker_s if tally.worker_s else 0.0
     print(
@@ -243,9 +240,7 @@ def describe(finished: FinishedHeat) -> str:
         ends = {"error": "given up", "planned": "will be tried again"}
         end = ends.get(finished.became, "another worker has it")
         return f"{start}: failed, {end}: {tables.spelled(last[0][:120])}"
-    scores = " | ".join(
-        "-".join(str(place) for place in one.places) for one in report.outcome.races
-    )
+    scores = " | ".join("-".join(map(str, one.places)) for one in report.outcome.races)
     note = "" if finished.became == "accepted" else f"  [{finished.became}]"
     return f"{start}: places {scores}  {report.race_s:.0f} s in {report.wall_s:.1f} s{note}"
 
@@ -280,10 +275,9 @@ class LivePage:
     def _refit(self) -> None:
         from league.matchmaking import standings
 
-        try:
+        self._standings = None
+        with suppress(LeagueError):  # where no entry is rated yet
             self._standings = standings.of(self._store)
-        except LeagueError:
-            self._standings = None  # no entry is rated yet
         self._fitted_s, self._stale = time.monotonic(), False
 
     def _drawn(self, tally: Tally) -> RenderableType:

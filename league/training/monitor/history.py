@@ -145,8 +145,8 @@ class TrainingHistory:
             learn_s=round(update.learn_s, 4),
             earned=episodes.earned,
             completion=None if completion is None else 100.0 * completion,
-            losses={name: float(value) for name, value in update.losses.items()},
-            log={name: float(value) for name, value in update.log.items()},
+            losses=dict(update.losses),
+            log=dict(update.log),
         )
         self.updates.append(row)
         self._write(row)
