@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg, subcommand
 
 from league import times
-from league.cli import tables
+from league.cli import lazy, tables
 from league.cli.race import (
     labels,
     num_obstacles,
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from league.envs.actions import ActionSpace
     from league.envs.rewards import Reward
     from league.racing.table import Evaluation
-    from league.racing.trace import Trace
     from league.track.track import TrackSet
 
 _PRINTED = 5  # Last lines of what a reward function printed that are shown.
@@ -73,8 +72,6 @@ class Evaluate:
     json: bool = False  # Print JSON.
 
     def run(self) -> None:
-        from league.racing.trace import Trace, write_evaluation
-
         _check(self)
         evaluations = []
         for track in self.track:
@@ -83,7 +80,11 @@ class Evaluate:
             if not self.json:
                 print_table(evaluation)
             if trace is not None and self.trace is not None:
-                write = write_evaluation if _is_folder(self.trace) else Trace.write
+                write = (
+                    lazy.trace.write_evaluation
+                    if _is_folder(self.trace)
+                    else lazy.trace.Trace.write
+                )
                 path = write(trace, self.trace)
                 if not self.json:
                     print(f"Trace: {path}")
@@ -129,23 +130,17 @@ def _check(command: Evaluate) -> None:
     print_remark(_kind(command), _num_obstacles(command), 1)
 
 
-def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
-    from league.agents import roster
-    from league.racing.evaluate import evaluate
-    from league.racing.trace import Trace
-    from league.track import files
-    from league.track.track import TrackSet
-
-    course = files.load(track)
-    tracks, sim = TrackSet(course), SimConfig()
-    driver = roster.load(command.driver, tracks, sim.car)
-    opponents = [roster.load(name, tracks, sim.car) for name in command.opponents]
+def _one(command: Evaluate, track: str) -> tuple[Evaluation, lazy.trace.Trace | None]:
+    course = lazy.files.load(track)
+    tracks, sim = lazy.track.TrackSet(course), SimConfig()
+    driver = lazy.roster.load(command.driver, tracks, sim.car)
+    opponents = [lazy.roster.load(name, tracks, sim.car) for name in command.opponents]
     trace = reward = None
     if command.trace is not None:
         space: ActionSpace | None = getattr(getattr(driver, "card", None), "action_space", None)
-        trace = Trace(space, driver.sensors, started_s=time.time())
+        trace = lazy.trace.Trace(space, driver.sensors, started_s=time.time())
         reward = partial(named, command.reward, tracks, sim, cars=(0,))
-    done = evaluate(
+    done = lazy.evaluate.evaluate(
         driver,
         course,
         laps=command.laps,
@@ -181,18 +176,13 @@ def _is_folder(path: Path) -> bool:
 
 def _keep_replay(command: Evaluate, track: str) -> None:
     """Drive the first run once more, as a race that is recorded: the same race to the bit."""
-    from league import replay as replays
-    from league.racing import race
-    from league.racing.evaluate import start_speed
-    from league.track import files
-
-    course = files.load(track)
+    course = lazy.files.load(track)
     spec = race_spec(command, course.name, _kind(command), [command.driver, *command.opponents])
-    started = start_speed(command.variation, len(spec.entries))
+    started = lazy.evaluate.start_speed(command.variation, len(spec.entries))
     spec = spec.model_copy(update={"variation": command.variation, "start_speed": started})
-    recorded = race.run(spec, track=course).replay
+    recorded = lazy.race.run(spec, track=course).replay
     assert recorded is not None
-    path = replays.write(recorded, replay_path(command.replay, spec, course))
+    path = lazy.replay.write(recorded, replay_path(command.replay, spec, course))
     if not command.json:
         print(replay_line(path))
 
@@ -246,9 +236,7 @@ class CheckReward:
 
     def run(self) -> int:
         """Run the command; 1 if the function fails anywhere."""
-        from league.deepracer import check
-
-        report = check.check(self.file, kind=self.kind)
+        report = lazy.check.check(self.file, kind=self.kind)
         if self.json:
             print(json.dumps(_as_json(report), indent=2))
         else:
@@ -269,17 +257,14 @@ class ScoreReplay:
     json: bool = False  # Print JSON.
 
     def run(self) -> None:
-        from league import replay as replays
-        from league.deepracer import rescore
-
-        race = replays.read(self.replay)
+        race = lazy.replay.read(self.replay)
         scores = []
         for name in (self.reward, self.against):
             reward = named(name, race.tracks, race.sim, 1, range(race.num_cars))
             shown = Path(name).name if name.endswith(".py") else f"{name} (built in)"
-            scores.append(rescore.score(race, reward, shown))
+            scores.append(lazy.rescore.score(race, reward, shown))
         path = self.out or self.replay.with_suffix(".reward.png")
-        rescore.draw(race, scores, path)
+        lazy.rescore.draw(race, scores, path)
         cars = list(enumerate(race.names))
         if self.json:
             documents = []
@@ -309,12 +294,9 @@ def named(
     name: str, tracks: TrackSet, sim: SimConfig, num_worlds: int, cars: Sequence[int]
 ) -> Reward:
     """Return a built-in reward, or that of a reward file (FILE.py), which pays these cars."""
-    from league.deepracer import user_reward
-    from league.envs.rewards import built_in
-
     if name.endswith(".py"):
-        return user_reward(name, num_worlds, cars, sim=sim)
-    return built_in(name, tracks, sim.car)
+        return lazy.reward_file.user_reward(name, num_worlds, cars, sim=sim)
+    return lazy.rewards.built_in(name, tracks, sim.car)
 
 
 def _print_report(report: Report) -> None:

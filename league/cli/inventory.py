@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg, subcommand
 
 from league.atomic_file import replacing
-from league.cli import tables
+from league.cli import lazy, tables
 from league.cli.season import OnLeague
 from league.errors import ConfigError, TrackError
 
@@ -27,9 +27,7 @@ class ListTracks:
     json: bool = False  # Print JSON.
 
     def run(self) -> None:
-        from league.track import files
-
-        reports = [files.report(files.load(name)) for name in files.names()]
+        reports = [lazy.files.report(lazy.files.load(name)) for name in lazy.files.names()]
         if self.json:
             print(json.dumps(reports, indent=2))
             return
@@ -50,13 +48,11 @@ class ShowTrack:
     out: Path | None = None  # Where to write the picture; by default NAME.png here.
 
     def run(self) -> None:
-        from league.track import files, markings
-
-        track = files.load(self.name)
+        track = lazy.files.load(self.name)
         path = self.out or Path(f"{track.name}.png")
         with replacing(path, "the picture", TrackError) as file:
-            file.write_bytes(markings.png(markings.poster(track)))
-        one = files.report(track)
+            file.write_bytes(lazy.markings.png(lazy.markings.poster(track)))
+        one = lazy.files.report(track)
         print(
             f"{one['title']}: {one['length']:.2f} m, {one['width']:.3f} m wide, "
             f"{one['direction']}, smallest radius {one['min_radius']:.2f} m"
@@ -74,8 +70,6 @@ class ImportTracks:
     """Where to write the track, by default NAME.yaml here; for several tracks a folder."""
 
     def run(self) -> None:
-        from league.track import files, importer
-
         sources: list[Path] = []
         for file in self.files:
             found = sorted(file.glob("*.npy")) if file.is_dir() else [file]
@@ -93,10 +87,10 @@ class ImportTracks:
         refused = 0
         for source in sources:
             try:
-                track = importer.read_npy(source)
+                track = lazy.importer.read_npy(source)
                 name = Path(f"{track.name}.yaml")
                 path = (self.out or name) if single else (self.out or Path()) / name
-                files.save(track, path)
+                lazy.files.save(track, path)
             except TrackError as error:
                 if single:
                     raise
@@ -125,13 +119,11 @@ class GenerateTracks:
     direction: Literal["any", "counter-clockwise", "clockwise"] = "any"  # Which way round.
 
     def run(self) -> None:
-        from league.track import files, generate
-
         if self.count < 1:
             raise TrackError(f"{self.count} tracks were asked for: give a count of at least 1")
         direction = None if self.direction == "any" else self.direction
         for seed in range(self.seed, self.seed + self.count):
-            track = generate.generate(
+            track = lazy.generate.generate(
                 seed,
                 min_radius=self.min_radius,
                 width=self.width,
@@ -139,7 +131,7 @@ class GenerateTracks:
                 direction=direction,
             )
             path = self.out / f"{track.name}.yaml"
-            files.save(track, path)
+            lazy.files.save(track, path)
             print(f"{path}: {track.length:.2f} m, {track.width:.2f} m wide, {track.direction}")
 
 
@@ -160,11 +152,9 @@ class Drivers:
     """List the scripted drivers and the policies in the garage."""
 
     def run(self) -> None:
-        from league.agents import checkpoint, roster
-
-        rows = list(roster.NAMES.items())
-        for name, path in roster.garage().items():
-            card = checkpoint.load(path).card
+        rows = list(lazy.roster.NAMES.items())
+        for name, path in lazy.roster.garage().items():
+            card = lazy.checkpoint.load(path).card
             races = f"{card.kind.replace('_', ' ')} on {', '.join(card.tracks[:3])}"
             training = f"{card.steps:,} decisions, {card.train_s / 60:.1f} min"
             rows.append((name, f"a policy: {races}; {training}"))
@@ -180,14 +170,12 @@ class ShowCard:
     json: bool = False  # Print JSON.
 
     def run(self) -> None:
-        from league.agents import checkpoint, roster
-
-        loaded = checkpoint.load(roster.checkpoint_path(self.checkpoint))
+        loaded = lazy.checkpoint.load(lazy.roster.checkpoint_path(self.checkpoint))
         if self.json:
             card = loaded.card.model_dump(mode="json")
-            print(json.dumps({"digest": checkpoint.digest(loaded), "card": card}, indent=2))
+            print(json.dumps({"digest": lazy.checkpoint.digest(loaded), "card": card}, indent=2))
             return
-        tables.table(self.checkpoint, ("", "card"), _lines(loaded, checkpoint.digest(loaded)))
+        tables.table(self.checkpoint, ("", "card"), _lines(loaded, lazy.checkpoint.digest(loaded)))
 
 
 @dataclass
@@ -222,8 +210,6 @@ class Export(OnLeague):
                 heats.export_json(store, self.json)
 
     def _export_network(self) -> None:
-        from league.agents import checkpoint, export, roster
-
         source, outputs = self.checkpoint, list(self.onnx or ())
         named = [path for path in outputs if path.suffix == ".pt"]
         if source is None and named:  # as in `--onnx a.pt`
@@ -240,7 +226,7 @@ class Export(OnLeague):
                 f"--onnx would write {' and '.join(map(str, outputs))}: give one file, NAME.onnx, "
                 "or none for one next to the checkpoint"
             )
-        export.to_onnx(checkpoint.load(roster.checkpoint_path(source)), output)
+        lazy.export.to_onnx(lazy.checkpoint.load(lazy.roster.checkpoint_path(source)), output)
         print(f"Network: {output}   ({output.stat().st_size / 1024:.0f} kB)")
 
 

@@ -17,7 +17,7 @@ from tyro.conf import Positional, arg
 
 from league import times
 from league.atomic_file import check_writable
-from league.cli import tables
+from league.cli import lazy, tables
 from league.errors import ConfigError, ReplayError
 from league.sim.config import USUAL_OBSTACLES
 
@@ -88,15 +88,12 @@ class Race:
     json: bool = False  # Print the result as JSON.
 
     def run(self) -> None:
-        from league.racing import race
-        from league.track import files
-
         if not self.drivers:
             raise ConfigError(
                 "no drivers were named: try `league race racing_line centerline`; "
                 "`league drivers` lists them all"
             )
-        track = files.load(self.track)
+        track = lazy.files.load(self.track)
         kind = race_kind(self, len(self.drivers))
         if self.format != "standing" and len(self.drivers) < 2:
             raise ConfigError(
@@ -111,9 +108,7 @@ class Race:
             check_writable(path, "the replay", ReplayError)
         live = None
         if self.watch:
-            from league.rerun_view import Live
-
-            live = Live.start(spec, track)
+            live = lazy.rerun_view.Live.start(spec, track)
             print(f"Watching live: {live.address}   (Ctrl-C stops the race)", file=sys.stderr)
             sys.stderr.flush()
         quiet = self.json or not sys.stderr.isatty()
@@ -128,13 +123,11 @@ class Race:
             listen = None if live is None else live.note
             # Without a file, too, the story is of the recording.
             record = path is not None or not self.json
-            finished = race.run(spec, track=track, record=record, watch=watch, listen=listen)
+            finished = lazy.race.run(spec, track=track, record=record, watch=watch, listen=listen)
         written = None
         try:
             if finished.replay is not None and path is not None:
-                from league import replay as replays
-
-                written = replays.write(finished.replay, path)
+                written = lazy.replay.write(finished.replay, path)
         finally:
             _print_result(self, finished, written)  # a full disk undoes no race
         if live is not None:
@@ -147,14 +140,12 @@ class Race:
 
 def _after_qualifying(spec: RaceSpec, track: Track, *, quiet: bool) -> RaceSpec:
     """Return the spec with its entries in the order that qualifying laps gave, and print these."""
-    from league.racing import race
-
-    laps = race.qualifying_laps(spec, track)
+    laps = lazy.race.qualifying_laps(spec, track)
     if not quiet:
         for lap_s, entry in sorted(zip(laps, spec.entries, strict=True), key=lambda one: one[0]):
             lap = "no complete lap" if math.isinf(lap_s) else times.clock(lap_s)
             print(f"Qualifying: {entry.name}  {lap}")
-    return race.line_up(spec, laps)
+    return lazy.race.line_up(spec, laps)
 
 
 def _print_result(command: Race, finished: FinishedRace, replay: Path | None) -> None:
@@ -165,9 +156,9 @@ def _print_result(command: Race, finished: FinishedRace, replay: Path | None) ->
         return
     _print_classification(result)
     if finished.replay is not None and len(result.order) > 1:
-        from league.replay import commentary
-
-        for line in commentary.shortened(commentary.of_replay(finished.replay), STORY_LINES):
+        for line in lazy.commentary.shortened(
+            lazy.commentary.of_replay(finished.replay), STORY_LINES
+        ):
             print(textwrap.fill(line.stamped, tables.console().width, subsequent_indent="    "))
     if replay is not None:
         print(replay_line(replay))
@@ -175,8 +166,6 @@ def _print_result(command: Race, finished: FinishedRace, replay: Path | None) ->
 
 def race_spec(command: Race | Evaluate, track: str, kind: str, drivers: Sequence[str]) -> RaceSpec:
     """Return the checked spec of a race by the flags that two commands share."""
-    from league.race_spec import checked
-
     if isinstance(command, Race) and command.average_laps != 2:
         if command.ranking != "average":
             raise ConfigError(
@@ -194,7 +183,9 @@ def race_spec(command: Race | Evaluate, track: str, kind: str, drivers: Sequence
         "random_obstacles": not command.fixed_obstacles,
     }
     field = entries(drivers)
-    return checked({**given, **obstacles, "track": track, "kind": kind, "entries": field})
+    return lazy.race_spec.checked(
+        {**given, **obstacles, "track": track, "kind": kind, "entries": field}
+    )
 
 
 def race_kind(command: Race | Evaluate, num_cars: int) -> RaceKind:
@@ -220,23 +211,19 @@ def num_obstacles(command: Race | Evaluate, *, avoiding: bool) -> int:
 
 def print_remark(kind: RaceKind, num_obstacles: int, num_cars: int) -> None:
     """Print what there is to say of a kind of race, next to the results."""
-    from league.race_spec import remark_on
-
-    if remark := remark_on(kind, num_obstacles, num_cars):
+    if remark := lazy.race_spec.remark_on(kind, num_obstacles, num_cars):
         print(f"league: {remark}", file=sys.stderr)
 
 
 def entries(drivers: Sequence[str]) -> list[dict[str, str]]:
     """Return the entries of a spec; a checkpoint is shown by its name and found by its path."""
-    from league.agents import checkpoint, roster
-
-    shipped, result = roster.garage(), []
+    shipped, result = lazy.roster.garage(), []
     for driver, name in zip(drivers, labels(drivers), strict=True):
         entry = {"name": name}
         if driver.endswith(".pt"):
             entry["path"] = driver  # not of the garage's: every machine has them under their names
         if driver.endswith(".pt") or driver in shipped:
-            entry["digest"] = checkpoint.digest(shipped.get(driver, driver))
+            entry["digest"] = lazy.checkpoint.digest(shipped.get(driver, driver))
         result.append(entry)
     return result
 
@@ -262,13 +249,13 @@ def replay_path(replay: str, spec: RaceSpec, track: Track) -> Path:
     """
     import hashlib
 
-    from league.track import files
-
     if replay.endswith(".race"):
         return Path(replay)
     names = "-".join(entry.name.replace("/", "_") for entry in spec.entries)[:80]
     # Where a checkpoint lies decides nothing; its digest is in the spec.
-    content = spec.model_dump_json(exclude={"entries": {"__all__": {"path"}}}) + files.dump(track)
+    content = spec.model_dump_json(exclude={"entries": {"__all__": {"path"}}}) + lazy.files.dump(
+        track
+    )
     mark = hashlib.sha256(content.encode()).hexdigest()[:6]
     return Path(replay) / f"{spec.track}-{names}-{spec.kind}-{spec.seed}-{mark}.race"
 

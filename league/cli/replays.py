@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from league import times
-from league.cli import tables
+from league.cli import lazy, tables
 from league.cli.season import OnLeague
 from league.errors import ReplayError
 
@@ -39,24 +39,21 @@ class View(OnLeague):
     def run(self) -> int:
         import tempfile
 
-        from league import replay as replays
-        from league import rerun_view
-
         replay = self.replay or _recordings(FOLDER)[-1]
         recorded = _recorded(self, replay)
         if self.save is not None:
-            print(f"Replay: {replays.write(recorded, self.save)}")
+            print(f"Replay: {lazy.replay.write(recorded, self.save)}")
             return 0
         if self.rrd is not None:
-            rerun_view.save(recorded, self.rrd, cameras=self.cameras)
+            lazy.rerun_view.save(recorded, self.rrd, cameras=self.cameras)
             print(f"Recording: {self.rrd}")
             return 0
         with tempfile.TemporaryDirectory(prefix="league-") as folder:
             path = Path(folder) / f"{replay.stem}.rrd"
-            rerun_view.save(recorded, path, cameras=self.cameras)
+            lazy.rerun_view.save(recorded, path, cameras=self.cameras)
             if not self.web:
-                return rerun_view.open_viewer(path)
-            with rerun_view.serve(path) as server:
+                return lazy.rerun_view.open_viewer(path)
+            with lazy.rerun_view.serve(path) as server:
                 print(f"Open {server.url}   (Ctrl-C stops)", flush=True)
                 server.wait()
         return 0
@@ -70,12 +67,10 @@ class ListReplays:
     json: bool = False  # Print JSON.
 
     def run(self) -> None:
-        from league import replay as replays
-
         rows, unreadable = [], []
         for path in reversed(_recordings(self.folder)):
             try:
-                result = replays.read(path).result
+                result = lazy.replay.read(path).result
             except ReplayError as error:
                 unreadable.append(str(error))
                 continue
@@ -102,15 +97,12 @@ class Video:
     out: Annotated[Positional[Path], arg(metavar="FILE.mp4")]  # The .mp4 file to write.
 
     def run(self) -> None:
-        from league import replay as replays
-        from league import video
-
         if self.out.suffix.lower() != ".mp4":
             raise ReplayError(f"the film {self.out} would be an MP4: give a name that ends in .mp4")
         with tables.progress() as progress:
             task = progress.add_task("Rendering", total=1.0)
-            video.render(
-                replays.read(self.replay),
+            lazy.video.render(
+                lazy.replay.read(self.replay),
                 self.out,
                 progress=lambda share: progress.update(task, completed=share),
             )
@@ -127,12 +119,9 @@ class Verify:
 
     def run(self) -> int:
         from league import __version__
-        from league import replay as replays
-        from league.race_spec import RaceSpec
-        from league.racing import race
         from league.sim import PHYSICS
 
-        recorded = replays.read(self.replay)
+        recorded = lazy.replay.read(self.replay)
         if recorded.physics != PHYSICS:
             then = f"physics {recorded.physics}" if recorded.physics else "an earlier physics"
             raise ReplayError(
@@ -140,9 +129,9 @@ class Verify:
                 "the race cannot be run again here: watch it with `league view`, or verify it with "
                 "a version of the program that has the same physics"
             )
-        agreement = replays.compare(recorded, race.rerun(recorded, self.policies))
+        agreement = lazy.replay.compare(recorded, lazy.race.rerun(recorded, self.policies))
         print(agreement.sentence)
-        if recorded.spec.rules != RaceSpec.model_fields["rules"].default:
+        if recorded.spec.rules != lazy.race_spec.RaceSpec.model_fields["rules"].default:
             print(f"Both were driven under the rules {recorded.spec.rules!r}, which it names.")
         then = recorded.league_version
         if not agreement.agrees and then != __version__:
@@ -165,12 +154,9 @@ def _recordings(folder: Path) -> list[Path]:
 
 def _recorded(command: View, path: Path) -> Replay:
     """Return the replay of a file or, if there is none and the name is a heat's, of a league."""
-    from league import replay as replays
-    from league.replay import format as replay_format
-
     name = str(path)
     if path.exists() or not set(name) <= set("0123456789abcdef"):
-        return replays.read(path)
+        return lazy.replay.read(path)
     with command.opened() as store:
         record = store.heat(name)
         kept = {result.half + 1: result.replay for result in store.results(record.number)}
@@ -180,4 +166,4 @@ def _recorded(command: View, path: Path) -> Replay:
                 f"there is no replay of race {command.race} of heat {record.number} "
                 f"({record.state}): replays are kept of race {there or 'none'}"
             )
-        return replay_format.decode(store.blobs.get(kept[command.race] or ""))
+        return lazy.replay.format.decode(store.blobs.get(kept[command.race] or ""))

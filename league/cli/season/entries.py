@@ -13,12 +13,12 @@ from tyro.conf import Positional, arg, subcommand
 
 from league import times
 from league.atomic_file import replacing
-from league.cli import season, tables
+from league.cli import lazy, season, tables
 from league.cli.season import OnLeague, OnServer, Reading
 from league.errors import ConfigError, PolicyError, nearest_names
 
 if TYPE_CHECKING:
-    from league.matchmaking.pairing.heat_spec import Ruleset
+    pass
 
 ANCHORS = ("centerline", "racing_line", "cautious", "blocker")
 """Scripted drivers that a new league begins with; the first one is 1000."""
@@ -60,12 +60,11 @@ class Init(OnLeague):
     """Directory or bucket (s3://...) for weights and recordings; by default the database."""
 
     def run(self) -> None:
-        from league.matchmaking.pairing import matchmaker
-        from league.matchmaking.store import create
-
         rules = _rules(self)
-        with create(self.address, name=self.name, ruleset=rules, blobs=self.blobs) as store:
-            matchmaker.enter_anchors(store, self.anchors)
+        with lazy.store.create(
+            self.address, name=self.name, ruleset=rules, blobs=self.blobs
+        ) as store:
+            lazy.matchmaker.enter_anchors(store, self.anchors)
             print(f"League {self.name!r}: {store.url}")
         parts = [times.laps(rules.laps), f"{rules.cars} cars", *rules.tracks]
         parts += [rules.format] if rules.format != "standing" else []
@@ -104,14 +103,11 @@ class Submit(OnServer):
         """Enter the driver here, and return what became of it."""
         import getpass
 
-        from league.agents import roster
-        from league.matchmaking import submission
-
         owner = self.owner or getpass.getuser()
         with self.opened() as store:
-            if self.driver not in roster.NAMES:
-                path = roster.checkpoint_path(self.driver)
-                entry = submission.submit(store, path, name, owner, download=self.download)
+            if self.driver not in lazy.roster.NAMES:
+                path = lazy.roster.checkpoint_path(self.driver)
+                entry = lazy.submission.submit(store, path, name, owner, download=self.download)
             else:
                 entry = store.submit(name, owner, scripted=self.driver, card={"name": name})
         return {key: getattr(entry, key) for key in (*SAID, "downloadable")}
@@ -146,14 +142,11 @@ class Pack:
 
 def _packed(driver: str) -> bytes:
     """Return a checkpoint as the bytes of an entry."""
-    from league.agents import checkpoint, roster
-    from league.matchmaking import submission
-
-    if driver in roster.NAMES:
+    if driver in lazy.roster.NAMES:
         raise ConfigError(
             f"{driver} is a scripted driver, which has no weights: give a checkpoint (FILE.pt)"
         )
-    return submission.pack(checkpoint.load(roster.checkpoint_path(driver)))
+    return lazy.submission.pack(lazy.checkpoint.load(lazy.roster.checkpoint_path(driver)))
 
 
 @dataclass
@@ -161,10 +154,8 @@ class Entries(Reading):
     """List the entries and their states."""
 
     def run(self) -> None:
-        from league.matchmaking.pairing import matchmaker
-
         with self.opened() as store:
-            entries = matchmaker.entries_with_reasons(store)
+            entries = lazy.matchmaker.entries_with_reasons(store)
         if self.json:
             return season.print_json(entries)
         rows = []
@@ -218,10 +209,9 @@ class Upgrade(OnLeague):
     begin again, because results of different physics cannot be compared."""
 
     def run(self) -> None:
-        from league.matchmaking import store
         from league.sim import PHYSICS
 
-        for step in store.upgrade(self.address):
+        for step in lazy.store.upgrade(self.address):
             print(step)
         with self.opened() as league:
             rules = league.settings.ruleset
@@ -251,17 +241,13 @@ def _confirmed(what: str) -> bool:
     return input(question).strip().lower() in ("y", "yes")
 
 
-def _rules(command: Init) -> Ruleset:
+def _rules(command: Init) -> lazy.heat_spec.Ruleset:
     """Return the rules that were asked for, checked before anything is written."""
-    from league.agents import roster
-    from league.matchmaking.pairing.heat_spec import Ruleset
-    from league.track import files
-
     if not command.name.strip():
         raise ConfigError("the league was given no name: name it, as in --name club")
     for name in command.anchors:
-        if name not in roster.NAMES:
-            nearest = nearest_names(name, list(roster.NAMES))
+        if name not in lazy.roster.NAMES:
+            nearest = nearest_names(name, list(lazy.roster.NAMES))
             raise ConfigError(f"there is no scripted driver {name!r}; {nearest}")
     if command.bots and not command.obstacles:
         raise ConfigError("--bots means nothing without --obstacles: give both, or neither")
@@ -274,7 +260,7 @@ def _rules(command: Init) -> Ruleset:
             raise ConfigError("a track or an anchor was named twice: name each once")
     tracks = []
     for name in command.track:
-        track = files.load(name)
+        track = lazy.files.load(name)
         if name != track.name:
             raise ConfigError(
                 f"the track {name!r} is a file: a league's workers know the tracks that ship "
@@ -289,7 +275,7 @@ def _rules(command: Init) -> Ruleset:
     try:
         given = {name: getattr(command, name) for name in GIVEN}
         kind = "bot" if command.bots else "box"
-        return Ruleset(**given, tracks=tuple(tracks), obstacle_kind=kind)
+        return lazy.heat_spec.Ruleset(**given, tracks=tuple(tracks), obstacle_kind=kind)
     except ValueError as error:
         raise ConfigError(f"these rules are not possible: {error}") from error
 

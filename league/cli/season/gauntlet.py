@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from league.cli import season, tables
+from league.cli import lazy, season, tables
 from league.cli.season import Reading
 from league.errors import ConfigError, StoreError
 
 if TYPE_CHECKING:
     from league.matchmaking.ratings.sprt import Comparison
     from league.matchmaking.store import HeatOutcome, Store
-    from league.matchmaking.workers.worker import HeatDriver
 
 PRINT_EVERY_S = 10.0  # Interval at which a comparison without a terminal reports its progress [s].
 
@@ -36,15 +35,12 @@ class Gauntlet(Reading):
     workers: int = 0  # Worker processes; 0 takes one for each core.
 
     def run(self) -> None:
-        from league.agents import checkpoint, roster
-        from league.matchmaking import gauntlet
-
         season.at_least(self, "rounds", 1)
         season.at_least(self, "opponents", 1)
-        newcomer = checkpoint.load(roster.checkpoint_path(self.checkpoint))
+        newcomer = lazy.checkpoint.load(lazy.roster.checkpoint_path(self.checkpoint))
         quiet = self.json or not sys.stderr.isatty()
         with self.opened() as store:
-            opponents = gauntlet.opponents(store, most=self.opponents)
+            opponents = lazy.gauntlet.opponents(store, most=self.opponents)
             with (
                 season.local_workers(self.workers) as executor,
                 tables.progress(disable=quiet) as progress,
@@ -55,7 +51,7 @@ class Gauntlet(Reading):
                     progress.advance(bar)
                     return True
 
-                placed = gauntlet.gauntlet(
+                placed = lazy.gauntlet.gauntlet(
                     store, executor, newcomer, opponents, rounds=self.rounds, watch=watch
                 )
         if self.json:
@@ -87,9 +83,6 @@ class Compare(Reading):
     workers: int = 0  # Worker processes; 0 takes one for each core.
 
     def run(self) -> None:
-        from league.matchmaking import gauntlet
-        from league.matchmaking.ratings.sprt import SequentialSettings
-
         season.at_least(self, "heats", 1)
         quiet = self.json or not sys.stderr.isatty()
         printed_s = time.monotonic()
@@ -98,7 +91,7 @@ class Compare(Reading):
             if one.id == other.id:
                 raise ConfigError(f"{self.one} and {self.other} are the same driver: name two")
             bounds = self.elo0, self.elo1, self.alpha, self.beta
-            settings = SequentialSettings(*bounds, slot_gap=_slot_gap(store))
+            settings = lazy.sprt.SequentialSettings(*bounds, slot_gap=_slot_gap(store))
             with (
                 season.local_workers(self.workers) as executor,
                 tables.progress(disable=quiet) as progress,
@@ -114,7 +107,7 @@ class Compare(Reading):
                         printed_s = time.monotonic()
                         print(f"{text}, lead {_elo(now.elo)} Elo", file=sys.stderr, flush=True)
 
-                result = gauntlet.compare(
+                result = lazy.gauntlet.compare(
                     store, executor, one, other, settings, most_heats=self.heats, watch=watch
                 )
         if self.json:
@@ -145,26 +138,21 @@ def _elo(value: float) -> str:
     return f"{value:+.0f}" if math.isfinite(value) else ("+∞" if value > 0 else "-∞")
 
 
-def _driver(store: Store, text: str) -> HeatDriver:
+def _driver(store: Store, text: str) -> lazy.worker.HeatDriver:
     """Return an entry by name or id, or a checkpoint by its file or its name in the garage."""
-    from league.agents import checkpoint, roster
-    from league.matchmaking import submission
-    from league.matchmaking.workers import dispatcher
-    from league.matchmaking.workers.worker import HeatDriver
-
-    entered = text not in roster.garage() or text in (entry.name for entry in store.entries())
+    entered = text not in lazy.roster.garage() or text in (entry.name for entry in store.entries())
     if entered and not text.endswith(".pt"):
-        return dispatcher.heat_driver(store, store.entry(text))
-    loaded = checkpoint.load(roster.checkpoint_path(text))
-    submission.check_sensors(loaded.card.sensors, store.settings.ruleset)
-    return HeatDriver(submission.identity(loaded), Path(text).stem, weights=submission.pack(loaded))
+        return lazy.dispatcher.heat_driver(store, store.entry(text))
+    loaded = lazy.checkpoint.load(lazy.roster.checkpoint_path(text))
+    lazy.submission.check_sensors(loaded.card.sensors, store.settings.ruleset)
+    return lazy.worker.HeatDriver(
+        lazy.submission.identity(loaded), Path(text).stem, weights=lazy.submission.pack(loaded)
+    )
 
 
 def _slot_gap(store: Store) -> float:
     """Return what the front slot is worth by the league's own races [Elo]; 0 without any."""
-    from league.matchmaking import standings
-
     with contextlib.suppress(StoreError):
-        slots = standings.of(store).ratings.slot_advantages
+        slots = lazy.standings.of(store).ratings.slot_advantages
         return float(slots[0] - slots[1])
     return 0.0

@@ -18,7 +18,7 @@ from tyro.conf import Positional, arg
 
 from league import times
 from league.atomic_file import replacing
-from league.cli import season, tables
+from league.cli import lazy, season, tables
 from league.cli.season import OnLeague, Reading
 from league.errors import ConfigError, StoreError
 
@@ -51,16 +51,16 @@ class Heats(Reading):
     limit: int = 20  # How many, the newest.
 
     def run(self) -> None:
-        from league.matchmaking import documents
-
         season.at_least(self, "limit", 1)
         with self.opened() as store:
             numbers = [store.entry(self.entry).number] if self.entry else []
             states = None if self.state == "all" else (self.state,)
             records = store.heats(states, entries=numbers)[-self.limit :]
-            names = documents.names_of(store.entries())
+            names = lazy.documents.names_of(store.entries())
         if self.json:
-            return season.print_json([documents.heat_document(record, names) for record in records])
+            return season.print_json(
+                [lazy.documents.heat_document(record, names) for record in records]
+            )
         rows = []
         for record in records:
             heat, half = record.heat, record.heat.halves[0]
@@ -78,15 +78,15 @@ class ShowHeat(Reading):
     """Its number, or the beginning of its key."""
 
     def run(self) -> None:
-        from league.matchmaking import documents
-
         with self.opened() as store:
             record = store.heat(self.heat)
-            names = documents.names_of(store.entries())
+            names = lazy.documents.names_of(store.entries())
             results = store.results(record.number)
             audited = store.heat(record.heat.audits).number if record.heat.audits else 0
         if self.json:
-            return season.print_json({**documents.heat_document(record, names), "results": results})
+            return season.print_json(
+                {**lazy.documents.heat_document(record, names), "results": results}
+            )
         heat = record.heat
         print(f"Heat {record.number} ({heat.purpose}), {record.state}, key {heat.key}")
         if record.worker:
@@ -163,8 +163,6 @@ class Audit(OnLeague):
     def run(self) -> int:
         import numpy as np
 
-        from league.matchmaking import gauntlet
-
         share = season.share(self.sample, "--sample")
         with self.opened() as store:
             found = store.verify(self.head)
@@ -179,7 +177,7 @@ class Audit(OnLeague):
             if found.damaged:
                 print("Nothing can be raced again: restore the database from a backup, then audit.")
                 return 1
-            audits = gauntlet.pick_audit(store, share, np.random.default_rng(self.seed))
+            audits = lazy.gauntlet.pick_audit(store, share, np.random.default_rng(self.seed))
             if not audits:
                 print(
                     "There is nothing to audit: no rated heat is done that was not audited before."
@@ -190,7 +188,7 @@ class Audit(OnLeague):
                 print(f"heat {number} {VERDICTS[verdict]}", flush=True)
 
             with season.local_workers(self.workers) as executor:
-                verdicts = gauntlet.audit(store, executor, audits, watch=watch)
+                verdicts = lazy.gauntlet.audit(store, executor, audits, watch=watch)
         heats = "1 heat was" if len(audits) == 1 else f"{len(audits)} heats were"
         differ, unverified = verdicts["quarantined"], verdicts["unverified"]
         agree = len(audits) - differ - unverified
@@ -220,16 +218,14 @@ def _inert(value: object) -> object:
 
 def export_json(store: Store, path: Path) -> None:
     """Write rules, entries, standings and races; "-" is the standard output."""
-    from league.matchmaking import documents, standings
-
     settings, rated = store.settings, None
     with contextlib.suppress(StoreError):  # where no entry is rated yet
-        rated = documents.standings_document(standings.of(store))
+        rated = lazy.documents.standings_document(lazy.standings.of(store))
     document = {
         "league": settings.name,
-        "rules": documents.plain(settings.ruleset),
+        "rules": lazy.documents.plain(settings.ruleset),
         "ruleset": settings.ruleset.hash,
-        "entries": documents.plain(store.entries()),
+        "entries": lazy.documents.plain(store.entries()),
         "standings": rated,
     }
     with _output(path) as file:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from league.cli import season, tables
+from league.cli import lazy, season, tables
 from league.cli.season import OnLeague, OnServer
 from league.errors import ConfigError, LeagueError
 
@@ -50,11 +50,9 @@ class Racing(OnLeague):
     plain: bool = False  # Print a line for each heat instead of the page.
 
     def run(self) -> None:
-        from league.matchmaking.workers.worker import check_physics
-
         self._check()
         with self.opened() as store:
-            check_physics(store.settings.ruleset, f"the league in {store.url}")
+            lazy.worker.check_physics(store.settings.ruleset, f"the league in {store.url}")
             self._race(store, store)
 
     def _check(self) -> None:
@@ -66,13 +64,10 @@ class Racing(OnLeague):
 
     def _race(self, source: HeatSource, store: Store | None) -> None:
         """Race heats of a source; `store` is the league, where it is on this machine."""
-        from league.matchmaking import loop
-        from league.matchmaking.workers.dispatcher import Dispatcher
-
         with ExitStack() as stack:
             matchmaker = self._matchmaker(store) if store else None
             executor = stack.enter_context(season.local_workers(self.workers, self.executor))
-            dispatcher = Dispatcher(
+            dispatcher = lazy.dispatcher.Dispatcher(
                 source, executor, lease_s=self.lease_s, keep_replays=self.replays
             )
             watch = _print_finished
@@ -80,7 +75,7 @@ class Racing(OnLeague):
                 page = LivePage(store, dispatcher)
                 stack.enter_context(page.live)
                 watch = page.show
-            tally = loop.run(
+            tally = lazy.loop.run(
                 store,
                 dispatcher,
                 matchmaker,
@@ -109,14 +104,14 @@ class Work(Racing, OnServer):
     def run(self) -> None:
         if not self.to:
             return super().run()
-        from league.matchmaking.remote import RemoteQueue
-
         self._check()
         if self.lease_s > 600:
             raise ConfigError(f"--lease-s {self.lease_s}: give 1 to 600 s with --to")
         client = self.client()
-        queue = RemoteQueue(replace(client, patience_s=PATIENCE_S))
-        RemoteQueue(client).heartbeat("hello", lease_s=60.0, keys=())  # fails at once, if at all
+        queue = lazy.remote.RemoteQueue(replace(client, patience_s=PATIENCE_S))
+        lazy.remote.RemoteQueue(client).heartbeat(
+            "hello", lease_s=60.0, keys=()
+        )  # fails at once, if at all
         print(f"Racing for {client.url}; Ctrl-C finishes the heats under way.", flush=True)
         self._race(queue, None)
 
@@ -129,10 +124,8 @@ class RunSeason(Racing):
     """Let entries of one owner meet, too. By default they race only entries of others and anchors,
     so that entering many gains nothing; a league of one person needs this."""
 
-    def _matchmaker(self, store: Store) -> Matchmaker:
-        from league.matchmaking.pairing.matchmaker import Matchmaker
-
-        return Matchmaker(store, same_owner=self.same_owner)
+    def _matchmaker(self, store: Store) -> lazy.matchmaker.Matchmaker:
+        return lazy.matchmaker.Matchmaker(store, same_owner=self.same_owner)
 
 
 @dataclass
@@ -150,20 +143,16 @@ class Serve(OnLeague):
     """Share of the heats of remote workers that are run again by others, in percent."""
 
     def run(self) -> None:
-        from league.matchmaking.store import Quota
-        from league.web import server
-        from league.web.security import Access
-
         for field in ("entries", "per_day"):
             season.at_least(self, field, 0)
-        access = Access(
+        access = lazy.security.Access(
             hosts=("127.0.0.1", "localhost", *self.name),
-            quota=Quota(self.entries, self.per_day),
+            quota=lazy.store.Quota(self.entries, self.per_day),
             audited=season.share(self.audit, "--audit"),
         )
         with self.opened() as store:
             name = store.settings.name
-            server.serve(
+            lazy.server.serve(
                 store,
                 self.port,
                 host=self.host,
@@ -182,11 +171,9 @@ class Site(OnLeague):
     """Number of a season that is over: everything is as it was at its end."""
 
     def run(self) -> None:
-        from league.web import site
-
         season.at_least(self, "heats", 0)
         with self.opened() as store:
-            written = site.export(store, self.folder, heats=self.heats, season=self.season)
+            written = lazy.site.export(store, self.folder, heats=self.heats, season=self.season)
         first = self.folder / "index.html"
         print(f"{written.pages} pages, {written.heats} of them with a race to watch: {first}")
 
@@ -194,8 +181,6 @@ class Site(OnLeague):
 @contextmanager
 def _stopping() -> Generator[Callable[[], bool]]:
     """Turn the first Ctrl-C or SIGTERM into a request to stop; the second one stops at once."""
-    from league.subprocesses import handling
-
     requests: list[int] = []
 
     def request(number: int, _frame: object) -> None:
@@ -204,7 +189,7 @@ def _stopping() -> Generator[Callable[[], bool]]:
         requests.append(number)
         print("Finishing the heats under way; Ctrl-C again leaves them.", file=sys.stderr)
 
-    with handling(request, signal.SIGINT, signal.SIGTERM):
+    with lazy.subprocesses.handling(request, signal.SIGINT, signal.SIGTERM):
         yield lambda: bool(requests)
 
 
@@ -273,11 +258,9 @@ class LivePage:
         self.live.update(self._drawn(tally))
 
     def _refit(self) -> None:
-        from league.matchmaking import standings
-
         self._standings = None
         with suppress(LeagueError):  # where no entry is rated yet
-            self._standings = standings.of(self._store)
+            self._standings = lazy.standings.of(self._store)
         self._fitted_s, self._stale = time.monotonic(), False
 
     def _drawn(self, tally: Tally) -> RenderableType:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 from league import times
-from league.cli import season, tables
+from league.cli import lazy, season, tables
 from league.cli.season import Reading
 from league.errors import ConfigError, StoreError
 
@@ -30,13 +30,11 @@ class ShowStandings(Reading):
     top: int | None = None  # Only so many.
 
     def run(self) -> None:
-        from league.matchmaking import documents, standings
-
         season.at_least(self, "top", 1)
         with self.opened() as store:
-            rated = standings.of(store)
+            rated = lazy.standings.of(store)
         if self.json:
-            return season.print_json(documents.standings_document(rated, self.top))
+            return season.print_json(lazy.documents.standings_document(rated, self.top))
         tables.console().print(standings_table(rated, self.top))
         for line in _notes(rated):
             print(line)
@@ -49,19 +47,19 @@ class ShowEntry(Reading):
     entry: Annotated[Positional[str], arg(metavar="ENTRY")]  # Name or id.
 
     def run(self) -> None:
-        from league.matchmaking import documents, standings
-
         with self.opened() as store:
             entry = store.entry(self.entry)
             recent = store.heats(entries=[entry.number])[-10:]
             try:
-                rated = standings.of(store)
+                rated = lazy.standings.of(store)
                 row = rated.row(entry.number)
-                others = standings.records(rated, entry.number)
+                others = lazy.standings.records(rated, entry.number)
             except StoreError:  # it is not rated yet
                 row, others = None, []
         if self.json:
-            records = [{"name": other.name, **documents.plain(record)} for other, record in others]
+            records = [
+                {"name": other.name, **lazy.documents.plain(record)} for other, record in others
+            ]
             heats = [{"number": heat.number, "state": heat.state} for heat in recent]
             document = {"entry": entry, "standing": row, "against": records, "heats": heats}
             return season.print_json(document)
@@ -122,12 +120,10 @@ class ShowHistory(Reading):
     points: int = 20  # How many moments.
 
     def run(self) -> None:
-        from league.matchmaking import history
-
         season.at_least(self, "points", 1)
         with self.opened() as store:
             entry = store.entry(self.entry)
-            moments = history.history(store, entry, points=self.points)
+            moments = lazy.history.history(store, entry, points=self.points)
         if self.json:
             return season.print_json(moments)
         rows = []
@@ -161,10 +157,8 @@ def standings_table(rated: Standings, limit: int | None = None) -> RenderableTyp
 
 def _notes(rated: Standings) -> list[str]:
     """Return the lines that explain the table."""
-    from league.matchmaking import scores
-
     front = rated.ratings.slot_advantages
-    pole = scores.pole(rated)
+    pole = lazy.scores.pole(rated)
     lines = [
         f"{rated.num_races} races under rules {rated.ruleset[:12]}; the front of the grid is worth "
         f"{front[0] - front[-1]:+.0f} Elo over its end.",
@@ -200,15 +194,13 @@ def _laps(laps_s: Mapping[str, float]) -> str:
 
 
 def _h2h(store: Store, one: LeagueEntry, other: LeagueEntry, as_json: bool) -> None:
-    from league.matchmaking import standings
-
     if one.id == other.id:
         raise StoreError(f"{one.name!r} was given twice: name two entries")
-    rated = standings.of(store)
+    rated = lazy.standings.of(store)
     for entry in (one, other):
         rated.row(entry.number, entry.name)
     gap = rated.ratings.difference(one.number, other.number)
-    record = standings.head_to_head(rated, one.number, other.number)
+    record = lazy.standings.head_to_head(rated, one.number, other.number)
     heats = [heat.number for heat in store.heats(("done",), entries=[one.number, other.number])]
     if as_json:
         document = {"one": one.name, "other": other.name, "difference": gap, "record": record}
@@ -226,17 +218,15 @@ def _h2h(store: Store, one: LeagueEntry, other: LeagueEntry, as_json: bool) -> N
 def _matrix(store: Store, top: int, as_json: bool) -> None:
     from itertools import combinations
 
-    from league.matchmaking import documents, standings
-
-    rated = standings.of(store)
+    rated = lazy.standings.of(store)
     rows = rated.rows[: min(top, max(2, (tables.console().width - NAMES_WIDTH) // CELL_WIDTH))]
     pairs = list(combinations(rows, 2))
-    forth = [standings.head_to_head(rated, one.number, other.number) for one, other in pairs]
+    forth = [lazy.standings.head_to_head(rated, one.number, other.number) for one, other in pairs]
     if as_json:
         return season.print_json(
             [
                 {"one": one.name, "other": other.name, "points": record.points}
-                | documents.plain(record)
+                | lazy.documents.plain(record)
                 for (one, other), record in zip(pairs, forth, strict=True)
             ]
         )
@@ -275,9 +265,6 @@ class Seasons(Reading):
     least_safety: float = 2.0  # Safety rating, 0 to 5, that its top division asks for; 0 for none.
 
     def run(self) -> None:
-        from league.matchmaking import seasons
-        from league.matchmaking.divisions import SeasonSettings
-
         if self.name and self.action != "start":
             raise ConfigError(
                 f"`league season {self.action}` takes no name, {self.name!r} was given: "
@@ -285,12 +272,12 @@ class Seasons(Reading):
             )
         with self.opened() as store:
             if self.action == "start":
-                settings = SeasonSettings(self.division_size, self.least_safety)
-                begun = seasons.start(store, self.name, settings)
+                settings = lazy.divisions.SeasonSettings(self.division_size, self.least_safety)
+                begun = lazy.seasons.start(store, self.name, settings)
                 print(f"{begun.name} has begun: `league run` races it.")
                 return
             if self.action == "end":
-                ended = seasons.end(store)
+                ended = lazy.seasons.end(store)
                 print(f"{ended.name} has ended; its standings have the hash {ended.hash[:16]}.")
                 _print_trophies(store, ended)
                 return
@@ -338,21 +325,19 @@ class Cups(Reading):
     anchors: bool = False  # Let the league's own drivers take part in the cup that starts.
 
     def run(self) -> None:
-        from league.matchmaking import cups
-
         if self.anchors and self.action != "start":
             raise ConfigError("--anchors is for `league cup start`: leave it out")
         with self.opened() as store:
             if self.action == "start":
-                cup = cups.start(store, self.name, anchors=self.anchors)
+                cup = lazy.cups.start(store, self.name, anchors=self.anchors)
                 entrants = len(cup.settings["entrants"])
                 print(f"{cup.name} has begun with {entrants} entrants: `league run` races it.")
                 return
-            cup = cups.named(store, self.name)
+            cup = lazy.cups.named(store, self.name)
             document = store.frozen(cup)
             if document is None:
                 entries = {entry.id: entry for entry in store.entries()}
-                document = cups.document(cup, cups.bracket(store, cup), entries)
+                document = lazy.cups.document(cup, lazy.cups.bracket(store, cup), entries)
         if self.json:
             season.print_json(document)
         else:
