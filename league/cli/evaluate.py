@@ -29,11 +29,8 @@ from league.sim.config import ObstacleConfig, RaceKind, SimConfig
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from league.deepracer.check import DriveReport, Report
     from league.envs.actions import ActionSpace
-    from league.envs.rewards import Reward
     from league.racing.table import Evaluation
-    from league.track.track import TrackSet
 
 _PRINTED = 5  # Last lines of what a reward function printed that are shown.
 
@@ -291,15 +288,15 @@ class Rewards:
 
 
 def named(
-    name: str, tracks: TrackSet, sim: SimConfig, num_worlds: int, cars: Sequence[int]
-) -> Reward:
+    name: str, tracks: lazy.track.TrackSet, sim: SimConfig, num_worlds: int, cars: Sequence[int]
+) -> lazy.rewards.Reward:
     """Return a built-in reward, or that of a reward file (FILE.py), which pays these cars."""
     if name.endswith(".py"):
         return lazy.reward_file.user_reward(name, num_worlds, cars, sim=sim)
     return lazy.rewards.built_in(name, tracks, sim.car)
 
 
-def _print_report(report: Report) -> None:
+def _print_report(report: lazy.check.Report) -> None:
     heads = ("drive", "", "steps", "min", "mean", "max", "us")
     tables.table(f"{report.source.path}", heads, map(_row, report.drives), "us", "steps")
     print(f"Keys read ({len(report.keys)} of 27): {', '.join(report.keys) or 'none'}")
@@ -319,7 +316,7 @@ def _print_report(report: Report) -> None:
             print(f"  {line[:160]}")
 
 
-def _failures(report: Report) -> list[str]:
+def _failures(report: lazy.check.Report) -> list[str]:
     """Return each fault once, with the first drive on which it came."""
     failures: dict[str, list[str]] = {}
     for one in report.failures:
@@ -332,7 +329,7 @@ def _failures(report: Report) -> list[str]:
     ]
 
 
-def _row(one: DriveReport) -> tuple[str, ...]:
+def _row(one: lazy.check.DriveReport) -> tuple[str, ...]:
     state = "fails" if one.failure else "ok"
     if not one.rewards:
         return one.title, state, f"0 of {one.calls}", "", "", "", ""
@@ -345,7 +342,7 @@ def _short(value: float) -> str:
     return f"{value:.2f}" if value == 0 or 0.01 <= abs(value) < 1e4 else f"{value:.0e}"
 
 
-def _as_json(report: Report) -> dict[str, object]:
+def _as_json(report: lazy.check.Report) -> dict[str, object]:
     return {
         "file": str(report.source.path),
         "digest": report.source.digest,

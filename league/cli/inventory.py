@@ -7,7 +7,7 @@ import shlex
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg, subcommand
 
@@ -15,9 +15,6 @@ from league.atomic_file import replacing
 from league.cli import lazy, tables
 from league.cli.season import OnLeague
 from league.errors import ConfigError, TrackError
-
-if TYPE_CHECKING:
-    from league.agents.checkpoint import Checkpoint
 
 
 @dataclass
@@ -230,7 +227,7 @@ class Export(OnLeague):
         print(f"Network: {output}   ({output.stat().st_size / 1024:.0f} kB)")
 
 
-def _lines(loaded: Checkpoint, digest: str) -> list[tuple[str, str]]:
+def _lines(loaded: lazy.checkpoint.Checkpoint, digest: str) -> list[tuple[str, str]]:
     """Return the lines of the card: name and text."""
     card = loaded.card
     numbers = sum(weight.size for weight in loaded.weights.values())

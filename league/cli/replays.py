@@ -7,7 +7,7 @@ import sys
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
@@ -15,10 +15,6 @@ from league import times
 from league.cli import lazy, tables
 from league.cli.season import OnLeague
 from league.errors import ReplayError
-
-if TYPE_CHECKING:
-    from league.replay import Replay
-
 
 FOLDER = Path("replays")  # Where races leave their replays.
 
@@ -152,7 +148,7 @@ def _recordings(folder: Path) -> list[Path]:
     return paths
 
 
-def _recorded(command: View, path: Path) -> Replay:
+def _recorded(command: View, path: Path) -> lazy.replay.Replay:
     """Return the replay of a file or, if there is none and the name is a heat's, of a league."""
     name = str(path)
     if path.exists() or not set(name) <= set("0123456789abcdef"):

@@ -14,7 +14,6 @@ from league.errors import ConfigError, brief
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-    from league.matchmaking.workers import Executor
 
 DEFAULT = "sqlite:///league.db"
 
@@ -81,7 +80,7 @@ def share(text: str, flag: str) -> float:
 
 def local_workers(
     num_workers: int, kind: Literal["processes", "ray"] = "processes"
-) -> closing[Executor]:
+) -> closing[lazy.workers.Executor]:
     """Start workers, one for each core if 0 were asked for; `with` ends them afterwards."""
     return closing(lazy.workers.make_executor(kind, num_workers or os.cpu_count() or 1))
 

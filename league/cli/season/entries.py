@@ -7,7 +7,7 @@ import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg, subcommand
 
@@ -16,9 +16,6 @@ from league.atomic_file import replacing
 from league.cli import lazy, season, tables
 from league.cli.season import OnLeague, OnServer, Reading
 from league.errors import ConfigError, PolicyError, nearest_names
-
-if TYPE_CHECKING:
-    pass
 
 ANCHORS = ("centerline", "racing_line", "cautious", "blocker")
 """Scripted drivers that a new league begins with; the first one is 1000."""

@@ -9,17 +9,13 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
 from league.cli import lazy, season, tables
 from league.cli.season import Reading
 from league.errors import ConfigError, StoreError
-
-if TYPE_CHECKING:
-    from league.matchmaking.ratings.sprt import Comparison
-    from league.matchmaking.store import HeatOutcome, Store
 
 PRINT_EVERY_S = 10.0  # Interval at which a comparison without a terminal reports its progress [s].
 
@@ -47,7 +43,7 @@ class Gauntlet(Reading):
             ):
                 bar = progress.add_task("Racing", total=self.rounds * len(opponents))
 
-                def watch(_outcome: HeatOutcome) -> bool:
+                def watch(_outcome: lazy.store.HeatOutcome) -> bool:
                     progress.advance(bar)
                     return True
 
@@ -98,7 +94,7 @@ class Compare(Reading):
             ):
                 bar = progress.add_task("Racing", total=self.heats)
 
-                def watch(now: Comparison) -> None:
+                def watch(now: lazy.sprt.Comparison) -> None:
                     bounds = f"{now.lower:.2f}..{now.upper:.2f}"
                     text = f"heat {now.heats}: LLR {now.llr:+.2f} in {bounds}"
                     progress.update(bar, completed=now.heats, description=text)
@@ -120,7 +116,7 @@ class Compare(Reading):
             f"({result.lower:.2f} to {result.upper:.2f})"
         )
 
-    def _verdict(self, result: Comparison, one: str, other: str) -> str:
+    def _verdict(self, result: lazy.sprt.Comparison, one: str, other: str) -> str:
         if result.decision == "better":
             chance = f"{100 * self.alpha:g} %, if its lead were {self.elo0:g} Elo"
             return f"Yes, {other} is better than {one}. (Chance of a wrong yes: {chance}.)"
@@ -138,7 +134,7 @@ def _elo(value: float) -> str:
     return f"{value:+.0f}" if math.isfinite(value) else ("+∞" if value > 0 else "-∞")
 
 
-def _driver(store: Store, text: str) -> lazy.worker.HeatDriver:
+def _driver(store: lazy.store.Store, text: str) -> lazy.worker.HeatDriver:
     """Return an entry by name or id, or a checkpoint by its file or its name in the garage."""
     entered = text not in lazy.roster.garage() or text in (entry.name for entry in store.entries())
     if entered and not text.endswith(".pt"):
@@ -150,7 +146,7 @@ def _driver(store: Store, text: str) -> lazy.worker.HeatDriver:
     )
 
 
-def _slot_gap(store: Store) -> float:
+def _slot_gap(store: lazy.store.Store) -> float:
     """Return what the front slot is worth by the league's own races [Elo]; 0 without any."""
     with contextlib.suppress(StoreError):
         slots = lazy.standings.of(store).ratings.slot_advantages

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TextIO
+from typing import Annotated, Literal, TextIO
 
 from tyro.conf import Positional, arg
 
@@ -21,9 +21,6 @@ from league.atomic_file import replacing
 from league.cli import lazy, season, tables
 from league.cli.season import OnLeague, Reading
 from league.errors import ConfigError, StoreError
-
-if TYPE_CHECKING:
-    from league.matchmaking.store import Store
 
 FIGURES = ("finished", "laps", "total_s", "distance", "off_tracks", "crashes", "overtakes")
 COLUMNS = (
@@ -202,7 +199,7 @@ class Audit(OnLeague):
         return 1 if differ or found.mismatches else 0
 
 
-def export_csv(store: Store, path: Path) -> None:
+def export_csv(store: lazy.store.Store, path: Path) -> None:
     """Write a line for each car of each race; "-" is the standard output."""
     with _output(path) as file:
         table = csv.DictWriter(file, COLUMNS, lineterminator="\n")
@@ -216,7 +213,7 @@ def _inert(value: object) -> object:
     return f"'{value}" if isinstance(value, str) and value[:1] in tuple("=+-@\t\r") else value
 
 
-def export_json(store: Store, path: Path) -> None:
+def export_json(store: lazy.store.Store, path: Path) -> None:
     """Write rules, entries, standings and races; "-" is the standard output."""
     settings, rated = store.settings, None
     with contextlib.suppress(StoreError):  # where no entry is rated yet
@@ -250,7 +247,7 @@ def _output(path: Path) -> Generator[TextIO]:
     print(f"Wrote the league's results: {path}")
 
 
-def _rows(store: Store) -> Iterator[dict[str, object]]:
+def _rows(store: lazy.store.Store) -> Iterator[dict[str, object]]:
     """Yield a line for each car of each race that is done; a few hundred heats are in memory."""
     entries, last = {entry.id: entry for entry in store.entries()}, 0
     while records := store.heats(("done",), since=last, limit=EXPORTED):

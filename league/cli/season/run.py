@@ -24,11 +24,6 @@ from league.errors import ConfigError, LeagueError
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from league.matchmaking.loop import Tally
-    from league.matchmaking.pairing.matchmaker import Matchmaker
-    from league.matchmaking.standings import Standings
-    from league.matchmaking.store import Store
-    from league.matchmaking.workers.dispatcher import Dispatcher, FinishedHeat, HeatSource
 
 REFIT_EVERY_S = 5.0  # Interval at which the page computes the standings, at least [s].
 TOP = 12  # Entries on the page.
@@ -62,7 +57,7 @@ class Racing(OnLeague):
         if not 1 <= self.lease_s <= 3600:
             raise ConfigError(f"--lease-s {self.lease_s}: give 1 to 3600 s")
 
-    def _race(self, source: HeatSource, store: Store | None) -> None:
+    def _race(self, source: lazy.dispatcher.HeatSource, store: lazy.store.Store | None) -> None:
         """Race heats of a source; `store` is the league, where it is on this machine."""
         with ExitStack() as stack:
             matchmaker = self._matchmaker(store) if store else None
@@ -88,7 +83,7 @@ class Racing(OnLeague):
         over = seasons[-1].name if seasons and seasons[-1].until is not None else ""
         _print_tally(tally, over)
 
-    def _matchmaker(self, store: Store) -> Matchmaker | None:
+    def _matchmaker(self, store: lazy.store.Store) -> lazy.matchmaker.Matchmaker | None:
         """Return the matchmaker; None races what is in the queue."""
         return None
 
@@ -124,7 +119,7 @@ class RunSeason(Racing):
     """Let entries of one owner meet, too. By default they race only entries of others and anchors,
     so that entering many gains nothing; a league of one person needs this."""
 
-    def _matchmaker(self, store: Store) -> lazy.matchmaker.Matchmaker:
+    def _matchmaker(self, store: lazy.store.Store) -> lazy.matchmaker.Matchmaker:
         return lazy.matchmaker.Matchmaker(store, same_owner=self.same_owner)
 
 
@@ -193,7 +188,7 @@ def _stopping() -> Generator[Callable[[], bool]]:
         yield lambda: bool(requests)
 
 
-def _print_tally(tally: Tally, over: str) -> None:
+def _print_tally(tally: lazy.loop.Tally, over: str) -> None:
     """Print what was raced; `over` is the name of the season if it has ended."""
     if tally.idle and not tally.heats:
         begin = f"The season {over!r} is over: begin the next one with `league season start`."
@@ -215,7 +210,7 @@ def _print_tally(tally: Tally, over: str) -> None:
         )
 
 
-def describe(finished: FinishedHeat) -> str:
+def describe(finished: lazy.dispatcher.FinishedHeat) -> str:
     """Return a heat's outcome in a line."""
     claim, report = finished.running.claim, finished.report
     names = " - ".join(finished.running.names)
@@ -230,7 +225,7 @@ def describe(finished: FinishedHeat) -> str:
     return f"{start}: places {scores}  {report.race_s:.0f} s in {report.wall_s:.1f} s{note}"
 
 
-def _print_finished(_tally: Tally, finished: list[FinishedHeat]) -> None:
+def _print_finished(_tally: lazy.loop.Tally, finished: list[lazy.dispatcher.FinishedHeat]) -> None:
     for one in finished:
         print(describe(one), flush=True)
 
@@ -238,17 +233,17 @@ def _print_finished(_tally: Tally, finished: list[FinishedHeat]) -> None:
 class LivePage:
     """A page that is redrawn in place: rates, heats under way, last results, standings."""
 
-    def __init__(self, store: Store, dispatcher: Dispatcher) -> None:
+    def __init__(self, store: lazy.store.Store, dispatcher: lazy.dispatcher.Dispatcher) -> None:
         from rich.live import Live
 
         self._store, self._crew = store, dispatcher
         self._began = time.monotonic()
         self._last: deque[str] = deque(maxlen=6)
-        self._standings: Standings | None = None
+        self._standings: lazy.standings.Standings | None = None
         self._fitted_s, self._stale = 0.0, True
         self.live = Live(console=tables.console(), refresh_per_second=4, transient=True)
 
-    def show(self, tally: Tally, finished: list[FinishedHeat]) -> None:
+    def show(self, tally: lazy.loop.Tally, finished: list[lazy.dispatcher.FinishedHeat]) -> None:
         """Draw the page."""
         for one in finished:
             self._last.append(describe(one))
@@ -263,7 +258,7 @@ class LivePage:
             self._standings = lazy.standings.of(self._store)
         self._fitted_s, self._stale = time.monotonic(), False
 
-    def _drawn(self, tally: Tally) -> RenderableType:
+    def _drawn(self, tally: lazy.loop.Tally) -> RenderableType:
         from rich.console import Group
         from rich.text import Text
 
