@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from league.racing import evaluate, race, trace
     from league.replay import commentary
     from league.track import files, generate, importer, markings, track
+    from league.training import run
+    from league.training.monitor import dashboard, sinks
+    from league.training.ppo import distributed, learner
     from league.web import security, server, site
 
 _PACKAGES = {
@@ -41,6 +44,9 @@ _PACKAGES = {
     ".racing": "evaluate race trace",
     ".replay": "commentary",
     ".track": "files generate importer markings track",
+    ".training": "run",
+    ".training.monitor": "dashboard sinks",
+    ".training.ppo": "distributed learner",
     ".web": "security server site",
 }
 

@@ -17,7 +17,8 @@ import tyro
 
 from league import precompile
 from league.atomic_file import replacing
-from league.cli import train_settings
+from league.cli import lazy, train_settings
+from league.cli.evaluate import print_table
 from league.errors import ConfigError, PolicyError, RewardError
 from league.subprocesses import handling
 from league.training import config, run_folder
@@ -25,7 +26,6 @@ from league.training.config import RunConfig
 
 if TYPE_CHECKING:
     from league.training.monitor.history import TrainingCallback
-    from league.training.run import Outcome, Run
 
 OLD_FLAGS = {
     "--exam-track": "--eval-track",
@@ -152,14 +152,14 @@ def _refuse_taken(command: Train) -> None:
 
 
 def _train(command: Train) -> int:
-    from league.training.ppo import distributed
-    from league.training.ppo.learner import threads
-    from league.training.run import Run
-
-    cfg, is_first = command.cfg, distributed.is_first()
+    cfg, is_first = command.cfg, lazy.distributed.is_first()
     if is_first and any(name.startswith("generated:") for name in cfg.tracks):
         print("Drawing the tracks; hundreds take half a minute.", flush=True)
-    with threads(cfg.threads), _interrupted_by_sigterm(), closing(Run(cfg, command.folder)) as run:
+    with (
+        lazy.learner.threads(cfg.threads),
+        _interrupted_by_sigterm(),
+        closing(lazy.run.Run(cfg, command.folder)) as run,
+    ):
         if command.resume:
             _resume(command, run)
         callbacks = _callbacks(command, run) if is_first else []
@@ -190,10 +190,8 @@ def _interrupted_by_sigterm() -> Generator[None]:
         yield
 
 
-def _resume(command: Train, run: Run) -> None:
+def _resume(command: Train, run: lazy.run.Run) -> None:
     """Load the run's state, and print how far it has come and how far it goes."""
-    from league.training.ppo import distributed
-
     before = config.read(run.folder)
     run.resume()
     decisions = f"{run.learner.samples:,} decisions"
@@ -203,7 +201,7 @@ def _resume(command: Train, run: Run) -> None:
             f"{run.spent_s / 60:.3g} minutes): give --minutes or --steps above that, counted from "
             "its beginning, to go on"
         )
-    if not distributed.is_first():
+    if not lazy.distributed.is_first():
         return
     rest = ", with the settings the run was started with."
     if run.cfg.budget != before.budget:
@@ -221,26 +219,19 @@ def _budget(cfg: RunConfig) -> str:
     return " or ".join(parts)
 
 
-def _callbacks(command: Train, run: Run) -> list[TrainingCallback]:
-    from league.training.monitor.dashboard import Dashboard
-    from league.training.monitor.sinks import TrainingPlot
-
+def _callbacks(command: Train, run: lazy.run.Run) -> list[TrainingCallback]:
     cfg = run.cfg
     callbacks: list[TrainingCallback] = []
     if command.watch:
-        from league.training.monitor.sinks import LiveView
-
-        watching = LiveView(*run.learner.shown)
+        watching = lazy.sinks.LiveView(*run.learner.shown)
         # Before the page, which draws over whatever is printed while it is open.
         print(f"Watching live: {watching.address}", file=sys.stderr, flush=True)
         callbacks.append(watching)
     budget = 60.0 * cfg.minutes or None, cfg.steps or None
-    page = Dashboard(run.train, *budget, cfg.name, plain=command.plain)
-    callbacks += [page, TrainingPlot(run.folder / "training.png")]
+    page = lazy.dashboard.Dashboard(run.train, *budget, cfg.name, plain=command.plain)
+    callbacks += [page, lazy.sinks.TrainingPlot(run.folder / "training.png")]
     if command.tensorboard:
-        from league.training.monitor.sinks import TensorBoard
-
-        callbacks.append(TensorBoard(run.folder / "tensorboard"))
+        callbacks.append(lazy.sinks.TensorBoard(run.folder / "tensorboard"))
     return callbacks
 
 
@@ -270,9 +261,7 @@ def _show_printed(folder: Path) -> None:
             print(f"  {line[:160]}", file=sys.stderr)
 
 
-def _report(command: Train, outcome: Outcome) -> None:
-    from league.cli.evaluate import print_table
-
+def _report(command: Train, outcome: lazy.run.Outcome) -> None:
     if outcome.evaluation is not None:
         print_table(outcome.evaluation)
     _copy(outcome.best, command.out)
@@ -292,7 +281,7 @@ def _report(command: Train, outcome: Outcome) -> None:
     )
 
 
-def _next_step(command: Train, outcome: Outcome) -> str:
+def _next_step(command: Train, outcome: lazy.run.Outcome) -> str:
     """Return what to do after a run: race its policy, or train on if no lap was complete."""
     out = shlex.quote(os.fspath(command.out))
     if outcome.evaluation is None or outcome.evaluation.complete_laps:
