@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import os
 import statistics
 import threading
 import time
 from collections.abc import Iterator, MutableMapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -109,19 +109,11 @@ class _Trial(Future["Report"]):
 
 
 def check(
-    path: str | os.PathLike[str],
-    *,
-    kind: RaceKind | None = None,
-    time_limit_s: float = TIME_LIMIT_S,
+    path: Path, *, kind: RaceKind | None = None, time_limit_s: float = TIME_LIMIT_S
 ) -> Report:
-    """Try a reward file on scripted drives.
+    """Try a reward file on scripted drives of one kind of race; None: of every kind.
 
-    Args:
-        path: the file.
-        kind: of race it is written for; None: every kind.
-        time_limit_s: longest time of one call [s].
-
-    RewardError if the file cannot be read or loaded, or a call takes too long.
+    RewardError if the file cannot be read or loaded, or a call takes more than `time_limit_s` [s].
     """
     source, trial = RewardFile.read(path), _Trial()
     recorded = [drive for drive in drives() if kind in (None, drive.kind)]

@@ -63,8 +63,7 @@ class ParamsBuilder:
     def restart(self, begun: np.ndarray) -> None:
         """Begin an episode for these cars, bool, (num_worlds, num_cars).
 
-        Raises:
-            ConfigError: a paid car does not exist.
+        ConfigError if a paid car does not exist.
         """
         if self.memory.shape != begun.shape:
             missing = [car for car in self._cars if not 0 <= car < begun.shape[1]]
@@ -164,9 +163,8 @@ class Roads:
         records["lap"] = tracks.lap_length(np.arange(len(records)))
         waypoints = tuple(_waypoints(track) for track in tracks.tracks)
         records["steps"] = [len(points) - 1 for points in waypoints]
-        own = [
-            np.empty((0, 2)) if one.waypoints is None else one.waypoints for one in tracks.tracks
-        ]
+        none = np.empty((0, 2))
+        own = [none if one.waypoints is None else one.waypoints for one in tracks.tracks]
         count = np.array([len(each) for each in own])
         records["first_waypoint"] = np.where(count > 0, np.cumsum(count) - count, -1)
         return cls(

@@ -353,14 +353,12 @@ def user_reward(
     *,
     sim: SimConfig | None = None,
 ) -> UserReward:
-    """Return the reward of a DeepRacer reward file.
+    """Return the reward of a DeepRacer reward file, which defines `reward_function(params)`.
 
     Args:
-        path: a Python file that defines `reward_function(params)`.
+        path: of the file; RewardError if it cannot be read, is not Python, or fails.
         num_worlds: races in the batch.
         cars: the paid cars; all others get 0.
         sim: the world's settings, as of the RaceEnv; None: the usual car, 15 steps per second.
-
-    RewardError if the file cannot be read, is not Python, fails, or has no such function.
     """
     return UserReward(RewardFile.read(path), sim or SimConfig(), num_worlds, cars)

@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 import weakref
+from collections.abc import Iterator
 from types import FrameType, TracebackType
 
 from league.errors import RewardError
@@ -58,11 +59,7 @@ class Watchdog:
     def __exit__(
         self, kind: type[BaseException] | None, value: object, trace: TracebackType | None
     ) -> None:
-        """Watch no longer.
-
-        Raises:
-            RewardError: a call took too long.
-        """
+        """Watch no longer; RewardError if a call took too long."""
         try:
             self._busy = False
             if self._error is not None:
@@ -114,29 +111,25 @@ def _watch(reference: weakref.ref[Watchdog], over: threading.Event, pause_s: flo
 
 def stuck(path: str, thread: int, limit_s: float) -> RewardError:
     """Return the error for a thread that is still in a call of the user's file."""
-    frame, line = _frame(thread), None
-    while frame is not None and line is None:
-        if frame.f_code.co_filename == path:
-            line = frame.f_lineno
-        frame = frame.f_back
+    lines = (one.f_lineno for one in _frames(thread) if one.f_code.co_filename == path)
+    line = next(lines, None) or 1
     return RewardError(
-        f"{path}, line {line or 1}: still running after {limit_s:g} s: a call must return at "
+        f"{path}, line {line}: still running after {limit_s:g} s: a call must return at "
         "once, look for a loop that does not end, or a sleep or input"
     )
 
 
-def _frame(thread: int) -> FrameType | None:
-    return sys._current_frames().get(thread)  # pyright: ignore[reportPrivateUsage]
-
-
 def is_debugged(thread: int) -> bool:
     """Return whether a debugger steps through the thread."""
-    frame = _frame(thread)
+    return any(frame.f_globals.get("__name__") == "bdb" for frame in _frames(thread))
+
+
+def _frames(thread: int) -> Iterator[FrameType]:
+    """Yield the frames of a thread, the innermost first."""
+    frame = sys._current_frames().get(thread)  # pyright: ignore[reportPrivateUsage]
     while frame is not None:
-        if frame.f_globals.get("__name__") == "bdb":
-            return True
+        yield frame
         frame = frame.f_back
-    return False
 
 
 def _wake(thread: int) -> None:

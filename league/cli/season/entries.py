@@ -191,8 +191,9 @@ class Retire(OnServer):
                 if not self.yes and entry.state != "retired" and not _confirmed(what):
                     print(f"{name} stays {entry.state}.")
                     return 1
-                states = {entry.id: "retired"}
-                changed = bool(store.move(states, reason=self.reason, actor=entry.owner))
+                changed = bool(
+                    store.move({entry.id: "retired"}, reason=self.reason, actor=entry.owner)
+                )
         print(f"{name} {'is retired' if changed else 'was retired already'}.")
         return 0
 
