@@ -77,12 +77,10 @@ class Evaluate:
             if not self.json:
                 print_table(evaluation)
             if trace is not None and self.trace is not None:
-                write = (
-                    lazy.trace.write_evaluation
-                    if _is_folder(self.trace)
-                    else lazy.trace.Trace.write
-                )
-                path = write(trace, self.trace)
+                if _is_folder(self.trace):
+                    path = lazy.trace.write_evaluation(trace, self.trace)
+                else:
+                    path = trace.write(self.trace)
                 if not self.json:
                     print(f"Trace: {path}")
             if self.replay != "none":
@@ -124,7 +122,7 @@ def _check(command: Evaluate) -> None:
     ):
         if contradicts:
             raise ConfigError(sentence)
-    print_remark(_kind(command), _num_obstacles(command), 1)
+    print_remark(_kind(command), num_obstacles(command), 1)
 
 
 def _one(command: Evaluate, track: str) -> tuple[Evaluation, lazy.trace.Trace | None]:
@@ -148,7 +146,7 @@ def _one(command: Evaluate, track: str) -> tuple[Evaluation, lazy.trace.Trace | 
         solver=command.solver,
         variation=command.variation,
         obstacles=ObstacleConfig(
-            count=_num_obstacles(command),
+            count=num_obstacles(command),
             kind="bot" if command.bots else "box",
             random_places=not command.fixed_obstacles,
         ),
@@ -157,10 +155,6 @@ def _one(command: Evaluate, track: str) -> tuple[Evaluation, lazy.trace.Trace | 
         watch=None if trace is None else trace.add,
     )
     return done.model_copy(update={"driver": labels([command.driver])[0]}), trace
-
-
-def _num_obstacles(command: Evaluate) -> int:
-    return num_obstacles(command, avoiding=command.kind == "obstacle_avoidance")
 
 
 def _kind(command: Evaluate) -> RaceKind:

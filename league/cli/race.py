@@ -180,7 +180,7 @@ def race_spec(command: Race | Evaluate, track: str, kind: str, drivers: Sequence
             )
     given = {name: getattr(command, name) for name in GIVEN if hasattr(command, name)}
     obstacles = {
-        "obstacles": num_obstacles(command, avoiding=kind == "obstacle_avoidance"),
+        "obstacles": num_obstacles(command),
         "obstacle_kind": "bot" if command.bots else "box",
         "random_obstacles": not command.fixed_obstacles,
     }
@@ -196,10 +196,10 @@ def race_kind(command: Race | Evaluate, num_cars: int) -> RaceKind:
         return command.kind
     if num_cars > 1:
         return "head_to_head"
-    return "obstacle_avoidance" if num_obstacles(command, avoiding=False) else "time_trial"
+    return "obstacle_avoidance" if num_obstacles(command) else "time_trial"
 
 
-def num_obstacles(command: Race | Evaluate, *, avoiding: bool) -> int:
+def num_obstacles(command: Race | Evaluate) -> int:
     """Return how many obstacles a command line asks for."""
     asked = command.bots or command.fixed_obstacles
     if asked and command.obstacles == 0:
@@ -208,7 +208,7 @@ def num_obstacles(command: Race | Evaluate, *, avoiding: bool) -> int:
         )
     if command.obstacles is not None:
         return command.obstacles
-    return USUAL_OBSTACLES if asked or avoiding else 0
+    return USUAL_OBSTACLES if asked or command.kind == "obstacle_avoidance" else 0
 
 
 def print_remark(kind: RaceKind, num_obstacles: int, num_cars: int) -> None:

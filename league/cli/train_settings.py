@@ -34,9 +34,7 @@ def defaults(command: Train) -> RunConfig:
     cfg = _stored(command) if command.resume else _new(command)
     if command.hyperparameters is None:
         return cfg
-    return replace(
-        cfg, train=replace(cfg.train, ppo=_from_deepracer(command.hyperparameters, cfg.train))
-    )
+    return replace(cfg, train=_from_deepracer(command.hyperparameters, cfg.train))
 
 
 def _stored(command: Train) -> RunConfig:
@@ -69,9 +67,8 @@ def _new(command: Train) -> RunConfig:
         if cfg.self_play:
             cfg = replace(cfg, reward="race")
             train = replace(train, teacher=0.0 if cfg.init_from or train.sensors.truth else 0.5)
-    return replace(
-        cfg, minutes=0.0 if cfg.steps else cfg.minutes, train=replace(train, num_cars=cars, ppo=ppo)
-    )
+    minutes = 0.0 if cfg.steps else cfg.minutes
+    return replace(cfg, minutes=minutes, train=replace(train, num_cars=cars, ppo=ppo))
 
 
 def finished(command: Train) -> RunConfig:
@@ -190,8 +187,8 @@ def _with_body(command: Train, train: TrainConfig) -> TrainConfig:
     return replace(train, action_space=space, sensors=sensors, network=parent.network)
 
 
-def _from_deepracer(path: Path, train: TrainConfig) -> PpoConfig:
-    """Return the learner's settings with those that a hyperparameters.json names."""
+def _from_deepracer(path: Path, train: TrainConfig) -> TrainConfig:
+    """Return the settings with those that a hyperparameters.json names."""
     asked = hyperparameters.read(path)
     same = {"gamma": asked.discount_factor, "epochs": asked.num_epochs}
     changes: dict[str, object] = {name: one for name, one in same.items() if one is not None}
@@ -212,7 +209,7 @@ def _from_deepracer(path: Path, train: TrainConfig) -> PpoConfig:
     unused = [name for name in asked.model_dump(exclude_none=True) if name not in used]
     if unused:
         print(f"{path}: {', '.join(unused)} not used here (docs/training.md)", file=sys.stderr)
-    return train.with_ppo(**changes).ppo
+    return train.with_ppo(**changes)
 
 
 def parse_actions(text: str) -> ActionSpace:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Literal
 
 import torch
 
@@ -119,18 +118,14 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         sim=sim,
         solver="planar",
         sensors=(cfg.sensors,) * cfg.num_cars,
-        camera_path=camera_path(cfg.device),
+        # Compiled painting on a CPU, ray casting on a GPU.
+        camera_path="paint" if torch.device(cfg.device).type == "cpu" else "ray",
         looks=VISUAL_RANDOMIZATION if cfg.visual_randomization else None,
         mode="training",
         reward=cfg.reward,
         episode_s=cfg.episode_s,
         scenarios=meeting,
     )
-
-
-def camera_path(device: torch.device | str) -> Literal["paint", "ray"]:
-    """Return how pictures are rendered: by compiled painting on a CPU, by ray casting on a GPU."""
-    return "paint" if torch.device(device).type == "cpu" else "ray"
 
 
 def make(
