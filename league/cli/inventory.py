@@ -253,8 +253,7 @@ def _lines(loaded: lazy.checkpoint.Checkpoint, digest: str) -> list[tuple[str, s
 def _brief(value: object) -> str:
     """Return data as short text, 'width 64, height 48'; None is omitted."""
     if isinstance(value, dict):
-        parts = [f"{name} {_brief(part)}" for name, part in value.items() if part is not None]
-        return ", ".join(parts)
+        return ", ".join(f"{name} {_brief(one)}" for name, one in value.items() if one is not None)
     if isinstance(value, list):
         return f"({' '.join(_brief(part) for part in value)})"
     return f"{value:g}" if isinstance(value, float) else str(value)

@@ -141,8 +141,8 @@ def _report(source: RewardFile, recorded: Sequence[Drive], trial: _Trial) -> Rep
     trial.call_began = time.monotonic()
     function = source.instance()
     tried = tuple(_try(source, function, drive, read, trial) for drive in recorded)
-    known = tuple(sorted(key for key in read if key in KEYS))
-    unknown = tuple(sorted(str(key) for key in read if key not in KEYS))
+    known = tuple(sorted(read.intersection(KEYS)))
+    unknown = tuple(sorted(map(str, read.difference(KEYS))))
     return Report(source, tried, known, unknown, tuple(_warnings(tried, known, unknown)))
 
 
@@ -167,9 +167,8 @@ def _try(
             failure = str(source.failed(error, when, params))
             break
     median_us = 1e6 * statistics.median(times) if times else 0.0
-    return DriveReport(
-        drive.title, drive.kind, len(drive.params), tuple(rewards), failure, median_us
-    )
+    calls = len(drive.params)
+    return DriveReport(drive.title, drive.kind, calls, tuple(rewards), failure, median_us)
 
 
 def _warnings(
@@ -228,11 +227,8 @@ def drives() -> tuple[Drive, ...]:
     other_way = track.mirrored()
     one_lap = replace(RULES["deepracer"], laps=1)
     alone = SimConfig(rules=one_lap)
-    boxes = SimConfig(
-        kind="obstacle_avoidance",
-        rules=one_lap,
-        obstacles=ObstacleConfig(count=3, places=((0.15, 1.0), (0.3, -1.0), (0.5, 0.0))),
-    )
+    three = ObstacleConfig(count=3, places=((0.15, 1.0), (0.3, -1.0), (0.5, 0.0)))
+    boxes = SimConfig(kind="obstacle_avoidance", rules=one_lap, obstacles=three)
     two = SimConfig(kind="head_to_head", num_cars=2, rules=one_lap)
     return (
         _drive("alone: a whole lap", track, alone, speeds=(2.0,)),

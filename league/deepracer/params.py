@@ -187,11 +187,7 @@ def _waypoints(track: Track) -> list[Point]:
 
 
 def _body(car: CarConfig, camera: CameraConfig) -> np.ndarray:
-    body = np.zeros(1, dtype=params_kernels.BODY)
-    body["nose"] = car.nose
-    body["half_base"], body["half_track"] = car.wheelbase / 2, car.wheel_track / 2
-    body["half_length"], body["half_width"] = car.length / 2, car.width / 2
-    body["eye_forward"], body["eye_up"] = camera.forward, camera.up
-    body["eye_dip"], body["eye_rise"] = math.cos(camera.pitch), math.sin(camera.pitch)
-    body["eye_tan"] = math.tan(camera.field_of_view / 2)
-    return body
+    half_sizes = (one / 2 for one in (car.wheelbase, car.wheel_track, car.length, car.width))
+    dip, rise = math.cos(camera.pitch), math.sin(camera.pitch)
+    eye = camera.forward, camera.up, dip, rise, math.tan(camera.field_of_view / 2)
+    return np.array([(car.nose, *half_sizes, *eye)], dtype=params_kernels.BODY)

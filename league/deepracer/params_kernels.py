@@ -71,8 +71,7 @@ MEMORY = np.dtype(
 def note_starts(points, courses, roads, bodies, memory, before, worlds):
     """Note where the episodes of fresh cars begin; for the arguments see `build`.
 
-    Returns:
-        Whether there are cars left to note: those that stand a penalty or have finished.
+    Return whether there are cars left to note: those that stand a penalty or have finished.
     """
     left = False
     for w in range(memory.shape[0]):
@@ -108,20 +107,11 @@ def build(
 ):
     """Return the numbers for each paid car that stands no penalty and has not finished.
 
-    Args:
-        points: of the TrackSet.
-        courses: of the TrackSet.
-        roads: ROAD of each track, (num_tracks,).
-        bodies: BODY of all cars, (1,).
-        memory: MEMORY of each car, (num_worlds, num_cars); steps are counted in it, and a lap ends
-            an episode.
-        waypoints: those of all tracks that have their own, (n, 2) [m].
-        before: CAR records before the step, (num_worlds, num_cars).
-        after: CAR records after it.
-        obstacles: OBSTACLE records, (num_worlds, num_obstacles).
-        worlds: WORLD records, (num_worlds,).
-        verdicts: VERDICT records, (num_worlds, num_cars).
-        step_dt: duration of a step [s].
+    Of the TrackSet are `points` and `courses`; `waypoints`, (n, 2) [m], are those of all tracks
+    that have their own, `roads` ROAD of each track, and `bodies` BODY of all cars, (1,). Steps are
+    counted in `memory`, MEMORY of each car, and a lap ends an episode. As `memory`, (num_worlds,
+    num_cars) are CAR records `before` and `after` the step, and VERDICT records; OBSTACLE records
+    are (num_worlds, num_obstacles), WORLD records (num_worlds,). A step lasts `step_dt` [s].
 
     Returns:
         Of each car itself, float64 (num_rows, NUM_OWN), and of obstacles and all other cars, in
@@ -226,15 +216,9 @@ def _write_closest_objects(road, table, row):
 def closest_waypoints(waypoints, road, s, x, y):
     """Return the waypoint at or behind a place, and the next one; after the last comes 0.
 
-    A track's own waypoints are joined by straight lines, and the nearest point of these counts, as
-    in the original; those that are evenly spaced lie on the centreline.
-
-    Args:
-        waypoints: those of all tracks that have their own, (n, 2) [m].
-        road: ROAD of one track.
-        s: distance of the place along its centreline, in [0, length] [m].
-        x: of the place [m].
-        y: of the place [m].
+    A track's own `waypoints`, (n, 2) [m], are joined by straight lines, and the point of these that
+    is nearest to x and y [m] counts, as in the original. Those that are evenly spaced lie on the
+    centreline, along which the place is at s, in [0, length] [m]. `road` is ROAD of the track.
     """
     # The tiny share keeps a place right at a waypoint from falling behind it by rounding.
     if road.first_waypoint < 0:

@@ -73,10 +73,8 @@ class PpoConfig:
             raise ConfigError(f"exploration noise is {self.noise}: give 0.001 to 5")
 
     def refining(self) -> PpoConfig:
-        """Return the settings for a trained policy, which larger steps would spoil.
-
-        With smaller ones it hardly learns to see what is new to it, such as other cars.
-        """
+        """Return the settings for a trained policy, which larger steps would spoil."""
+        # With smaller ones it hardly learns to see what is new to it, such as other cars.
         return replace(self, learning_rate=(2e-3, 3e-4), noise=(0.3, 0.05))
 
     def hurrying(self) -> PpoConfig:
@@ -155,6 +153,7 @@ class TrainConfig:
 
     def on_truth(self) -> TrainConfig:
         """Return the settings of learning to race on the true state, for a run with these."""
+        ppo = PpoConfig(rollout=32, mini_batches=12)
         return replace(
             self,
             sensors=SensorConfig(truth=True),
@@ -167,12 +166,7 @@ class TrainConfig:
             symmetry=False,
             teacher=0.0,
             save_every=24,
-            ppo=replace(
-                PpoConfig(rollout=32, mini_batches=12).racing(),
-                epochs=2,
-                learning_rate=(3e-3, 3e-4),
-                noise=(0.4, 0.1),
-            ),
+            ppo=replace(ppo.racing(), epochs=2, learning_rate=(3e-3, 3e-4), noise=(0.4, 0.1)),
         )
 
     def with_ppo(self, **changes: object) -> TrainConfig:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import permutations
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
@@ -216,40 +217,24 @@ def _h2h(store: Store, one: LeagueEntry, other: LeagueEntry, as_json: bool) -> N
 
 
 def _matrix(store: Store, top: int, as_json: bool) -> None:
-    from itertools import combinations
-
     rated = lazy.standings.of(store)
     rows = rated.rows[: min(top, max(2, (tables.console().width - NAMES_WIDTH) // CELL_WIDTH))]
-    pairs = list(combinations(rows, 2))
-    forth = [lazy.standings.head_to_head(rated, one.number, other.number) for one, other in pairs]
+    documents, cells = [], {(row.rank, row.rank): "" for row in rows}
+    for one, other in permutations(rows, 2):
+        record = lazy.standings.head_to_head(rated, one.number, other.number)
+        mark = "*" if abs(record.residual) > 3 else ""
+        met = f"{record.points:g}/{record.races}\n{record.residual:+.1f}{mark}"
+        cells[one.rank, other.rank] = met if record.races else ""
+        if one.rank < other.rank:
+            names = {"one": one.name, "other": other.name, "points": record.points}
+            documents.append(names | lazy.documents.plain(record))
     if as_json:
-        return season.print_json(
-            [
-                {"one": one.name, "other": other.name, "points": record.points}
-                | lazy.documents.plain(record)
-                for (one, other), record in zip(pairs, forth, strict=True)
-            ]
-        )
-    cells = {}
-    for (one, other), record in zip(pairs, forth, strict=True):
-        if record.races:
-            left = record.races - record.points
-            cells[one.rank, other.rank] = _cell(record.points, record.races, record.residual)
-            cells[other.rank, one.rank] = _cell(left, record.races, -record.residual)
-    ranks = [str(row.rank) for row in rows]
-    lines = [
-        (row.rank, row.name, *(cells.get((row.rank, other.rank), "") for other in rows))
-        for row in rows
-    ]
-    tables.table("Head to head", ("", "entry", *ranks), lines)
+        return season.print_json(documents)
+    lines = [(row.rank, row.name, *(cells[row.rank, one.rank] for one in rows)) for row in rows]
+    tables.table("Head to head", ("", "entry", *(str(row.rank) for row in rows)), lines)
     print("points of races; below: (points - promised) / standard deviation, * beyond 3")
     if rated.goodness.rejected:
         print("One number a driver does not explain these results: see `league standings`.")
-
-
-def _cell(points: float, races: int, residual: float) -> str:
-    """Return points, races and residual of a pair that met."""
-    return f"{points:g}/{races}\n{residual:+.1f}{'*' if abs(residual) > 3 else ''}"
 
 
 @dataclass

@@ -155,10 +155,9 @@ class TrainingHistory:
     def add_evaluation(
         self, evaluation: Evaluation, number: int, *, time_s: float, took_s: float, best: bool
     ) -> EvaluationRow:
-        """Add an evaluation of the policy as it was after update `number`.
+        """Add an evaluation of the policy as it was after update `number`, `best` so far or not.
 
-        `time_s` is the wall time of the run so far, `took_s` how long learning waited for it [s];
-        `best` says whether the policy is the best so far.
+        `time_s` is the wall time of the run so far, `took_s` how long learning waited for it [s].
         """
         samples = next((row.samples for row in self.updates if row.number == number), 0)
         laps_s = evaluation.lap_times_s
