@@ -62,9 +62,8 @@ def _run(target: Callable[..., None], *arguments: object) -> None:
 def settle() -> None:
     """Let this new process ignore Ctrl-C, and end with the one that started it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if _SERVED:
-        # Without the server this process could be neither observed nor ended.
-        die_with_parent()
+    # Without the server this process could be neither observed nor ended.
+    die_with_parent()
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
@@ -88,17 +87,24 @@ def _end_with_parent() -> None:
 def _begin(process: BaseProcess) -> None:
     if _SERVED:
         _ensure_server()
+    with sigint_blocked():
         process.start()
-    else:
-        with sigint_blocked():
-            process.start()
 
 
 def _ensure_server() -> None:
+    """Start the server without the working folder among the places that modules come from."""
     from multiprocessing import forkserver
 
-    with sigint_blocked(), _safe_path():
-        forkserver.ensure_running()
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        with sigint_blocked():
+            forkserver.ensure_running()
+    finally:
+        if before is None:
+            del os.environ["PYTHONSAFEPATH"]
+        else:
+            os.environ["PYTHONSAFEPATH"] = before
 
 
 @contextlib.contextmanager
@@ -137,17 +143,3 @@ def handling(handler: Callable[[int, object], None], *numbers: int) -> Generator
     finally:
         for number, earlier in before.items():
             signal.signal(number, earlier)
-
-
-@contextlib.contextmanager
-def _safe_path() -> Generator[None]:
-    """Start Python without the working folder among the places that modules come from."""
-    before = os.environ.get("PYTHONSAFEPATH")
-    os.environ["PYTHONSAFEPATH"] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ["PYTHONSAFEPATH"]
-        else:
-            os.environ["PYTHONSAFEPATH"] = before

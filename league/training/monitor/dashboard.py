@@ -8,13 +8,18 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from rich import box
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.live import Live
+from rich.panel import Panel
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
 from league.times import duration
 from league.training.monitor.history import TrainingCallback, TrainingHistory
 
 if TYPE_CHECKING:
-    from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
-    from rich.live import Live
-
     from league.racing.table import Evaluation
     from league.training.config import TrainConfig
     from league.training.monitor.history import EvaluationRow, Row
@@ -45,9 +50,6 @@ class Dashboard(TrainingCallback):
 
         `plain`: print a line every few seconds even where the dashboard could be drawn.
         """
-        from rich.console import Console
-        from rich.live import Live
-
         self._kind, self._name = cfg.kind.replace("_", " "), name
         self._budget_s, self._budget_steps = budget_s, budget_steps
         self._console = console = console or Console()
@@ -103,11 +105,6 @@ class Dashboard(TrainingCallback):
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Draw the dashboard as it is now."""
-        from rich import box
-        from rich.console import Group
-        from rich.panel import Panel
-        from rich.text import Text
-
         width, history = options.max_width, self._history
         body: list[RenderableType] = [self._budget()]
         if not history.updates:
@@ -127,10 +124,6 @@ class Dashboard(TrainingCallback):
         )
 
     def _budget(self) -> RenderableType:
-        from rich.progress_bar import ProgressBar
-        from rich.table import Table
-        from rich.text import Text
-
         since = time.monotonic() - self._updated_s
         spent = self._history.time_s + since
         left = left_s(self._history, self._budget_s, self._budget_steps)
@@ -151,10 +144,6 @@ class Dashboard(TrainingCallback):
 
 def _charts(history: TrainingHistory, width: int) -> RenderableType:
     """Return the curves of reward and completion, in a row or, where it is narrow, in a column."""
-    from rich.console import Group
-    from rich.table import Table
-    from rich.text import Text
-
     narrow = width < _NARROW
     across = max(width if narrow else (width - 4) // 3, 8)
     height = 2 if narrow else _HEIGHT
@@ -210,9 +199,6 @@ def _best_mark(history: TrainingHistory, width: int) -> str:
 
 
 def _figures(history: TrainingHistory) -> RenderableType:
-    from rich.table import Table
-    from rich.text import Text
-
     laps = Text("none yet", style="dim")
     if history.evaluations:
         last = history.evaluations[-1]
