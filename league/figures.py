@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INK, GRID = "#1d2733", "#e0e4e8"
-"""Colours of text, of less important text, and of grid lines."""
+INK, GRID = "#1d2733", "#e0e4e8"  # Colours of text, and of grid lines.
 
 
 def figure(width: float, height: float) -> Figure:

@@ -19,8 +19,7 @@ from multiprocessing.process import BaseProcess
 
 from league.errors import ConfigError
 
-SERVER_STARTS = 5
-"""Starts of the server for one process before its death counts as this machine's fault."""
+SERVER_STARTS = 5  # Starts of the server for one process before this machine is at fault.
 
 _SERVED = sys.platform == "linux"
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)

@@ -55,8 +55,7 @@ class ParamsBuilder:
         """Set up for the paid cars; `restart` fits the memory to the worlds."""
         self._step_dt, self._cars = sim.step_dt, tuple(cars)
         self._body = _body(sim.car, CameraConfig())
-        self.memory = np.zeros((0, 0), params_kernels.MEMORY)
-        """Episodes so far, MEMORY records (num_worlds, num_cars)."""
+        self.memory = np.zeros((0, 0), params_kernels.MEMORY)  # (num_worlds, num_cars)
         self._to_note = False
         self._tracks: TrackSet | None = None
 
@@ -147,8 +146,7 @@ class Roads:
     """
 
     records: np.ndarray  # ROAD of each track.
-    own_waypoints: np.ndarray
-    """Waypoints of the tracks that have their own [m], one track after another, (n, 2)."""
+    own_waypoints: np.ndarray  # Of the tracks that have their own [m], one after another, (n, 2).
     clockwise: list[bool]  # Whether each is driven clockwise.
     waypoints: tuple[list[Point], ...]
     """Each track's, in driving order; closed tracks repeat the first point as the last. A reward

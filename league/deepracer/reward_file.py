@@ -38,10 +38,8 @@ from league.sim.records import World
 from league.track.track import TrackSet
 
 NAME = "reward_function"
-LARGE = 1e5
-"""Rewards beyond this are noted: the original's documentation promises to learn up to here."""
-LARGEST = float(np.finfo(np.float32).max)
-"""Larger rewards are infinite: the league learns in single precision."""
+LARGE = 1e5  # Rewards beyond are noted: the original promises to learn up to here.
+LARGEST = float(np.finfo(np.float32).max)  # Larger ones are infinite in single precision.
 MAX_CHARACTERS = 140_000  # Longest file, as in the original.
 KEPT_LINES = 200  # Printed lines kept, the latest.
 _LONGEST_LINE = 2000  # Characters kept of a printed line.

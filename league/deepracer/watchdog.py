@@ -12,8 +12,7 @@ from types import FrameType, TracebackType
 
 from league.errors import RewardError
 
-TIME_LIMIT_S = 20.0
-"""Longest call while a car learns or a race is scored [s]: the first may load a large library."""
+TIME_LIMIT_S = 20.0  # Longest call in training and scoring [s]: the first may load a large library.
 _LOOKS = 10
 """Looks at a call within its time limit. Looks are counted instead of seconds, because a machine
 that sleeps or a program that its terminal has stopped takes none."""
@@ -25,8 +24,7 @@ class Stopped(BaseException):
     """Thrown into the thread that runs the user's code, to end it."""
 
 
-NOT_ITS_OWN = (KeyboardInterrupt, Stopped)
-"""Exceptions that leave the user's code without being its fault."""
+NOT_ITS_OWN = (KeyboardInterrupt, Stopped)  # What leaves the user's code without being its fault.
 
 
 class Watchdog:

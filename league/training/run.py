@@ -31,8 +31,7 @@ from league.training.ppo.teacher import make_taught
 
 _DUELS = 60  # races at each pace, for the card of a policy of self-play
 _CARD_OF_TRAINING = ("sensors", "action_space", "network", "kind", "seed")
-CRITIC_FIRST = 4
-"""Updates from which only the critic learns, where the actor starts as another policy."""
+CRITIC_FIRST = 4  # Updates from which only the critic learns, where the actor begins trained.
 
 
 @dataclass(frozen=True)
@@ -69,8 +68,7 @@ class Run:
         self._eval_cfg = _eval_config(cfg)
         self._parents: tuple[str, ...] = ()
         self._reward, self._reward_card = _reward(cfg)
-        self.spent_s = 0.0
-        """Learning time so far, of earlier parts too [s]."""
+        self.spent_s = 0.0  # Learning time so far, of earlier parts too [s].
         self._complete = 0
         self._check_card()
         # Each rank its own device, before any is touched.

@@ -20,8 +20,7 @@ from league.errors import ConfigError, PolicyError, nearest_names
 ANCHORS = ("centerline", "racing_line", "cautious", "blocker")
 """Scripted drivers that a new league begins with; the first one is 1000."""
 
-SAID = ("name", "owner", "id", "state", "near_copy_of")
-"""Texts that are said of an entry, by a served league, too."""
+SAID = ("name", "owner", "id", "state", "near_copy_of")  # What is said of an entry.
 
 GIVEN = (
     "laps", "cars", "solver", "sensors", "max_time_s", "variation", "rules", "obstacles", "format",

@@ -113,8 +113,7 @@ class LiveView(TrainingCallback):
         track = first.race_env.tracks.tracks[int(world.track[shown.worlds[0]])]
         layout = blueprint.training(len(shown.names), track.room)
         self._stream: Stream | None = Stream(layout, window=window)
-        self.address = self._stream.address
-        """Where it can be watched."""
+        self.address = self._stream.address  # Where it can be watched.
         recording, bots = self._stream.recording, sim.obstacles.kind == "bot"
         self._cars = TrainingStream(recording, track, shown, step_hz=sim.step_hz, bots=bots)
         for env in envs:

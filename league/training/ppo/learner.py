@@ -30,8 +30,7 @@ _NO_STATE = (
     *(OSError, AttributeError, KeyError, TypeError, ValueError, RuntimeError, EOFError),
     pickle.UnpicklingError,
 )
-AVERAGED = 50
-"""Most updates that an averaged policy goes back; in the first 500 a tenth of all updates."""
+AVERAGED = 50  # Most updates that an average goes back; in the first 500 a tenth of all updates.
 
 
 @dataclass(frozen=True)

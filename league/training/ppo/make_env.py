@@ -26,8 +26,7 @@ GENERATED = "generated:"
 MAX_GENERATED = 2000
 MAX_EVALUATED = 4  # largest number of named tracks to evaluate on
 RANDOM_EVALUATED = 12  # random tracks to evaluate on
-FIRST_EVALUATED = 1_000_000
-"""Seed of the first random track to evaluate on, beyond all that are trained on."""
+FIRST_EVALUATED = 1_000_000  # seed of the first of these, beyond those of training
 
 
 def load_tracks(names: Sequence[str]) -> list[Track]:
@@ -87,10 +86,8 @@ def _num_generated(name: str) -> int:
     return int(text)
 
 
-_ENDLESS = 1000
-"""Laps of a race in training: an episode is ended by a mistake or by time, not by the flag."""
-LEARNER_ATTACKS = 0.5
-"""Share of scenarios in which the only car that learns is sure to be the fastest of its group."""
+_ENDLESS = 1000  # Laps of a race in training: a mistake or time ends an episode, not the flag.
+LEARNER_ATTACKS = 0.5  # Share of scenarios in which the only car that learns is the fastest around.
 VISUAL_RANDOMIZATION = VisualRandomization(light=0.3, colour=0.15, noise=6.0, blur=0.6)
 
 

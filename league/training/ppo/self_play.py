@@ -33,13 +33,10 @@ ENOUGH, AT_LAST = 0.45, 0.7
 """Share of clean attacks above which rivals become faster, at the start and the end of the first
 stage; in the second it stays at the first value."""
 SLACK = 0.1  # How far below that share rivals become slower.
-PACE_STEP = 2.5
-"""How much the rivals' largest top speed would change over a whole stage of success."""
+PACE_STEP = 2.5  # How much the rivals' largest top speed changes over a whole stage of success.
 FIRST_PACE, LEAST_PACE, RANGE = 0.70, 0.60, 0.25
 """Largest top speed of rivals at first and at least, and how far below it the smallest lies."""
-DEAR = 6.0
-"""Price of a contact at the end of a stage, as a multiple of its price at the start: more than a
-pass earns."""
+DEAR = 6.0  # Price of a contact at the end of a stage, in its first: more than a pass earns.
 SPREAD = 0.5  # Least randomisation of the cars; see TrainConfig.
 SCRIPTED: tuple[tuple[float, tuple[str, ...]], ...] = (
     (0.25, ("centerline",)),
@@ -186,8 +183,7 @@ class RacingLearner(_OnCurriculum, TaughtLearner):
         }
         env = make_env.make(tracks, cfg, opponents=rivals, **settings)
         super().__init__(env, cfg, racer)
-        self.racer = racer
-        """The network that sees the true state."""
+        self.racer = racer  # The network that sees the true state.
         self.curriculum = Curriculum(self.env.num_envs * cfg.ppo.rollout, at_last=ENOUGH)
 
     def _learn(self, share: float) -> Update:

@@ -96,8 +96,7 @@ class Symmetry:
         """Set what is mirrored, and how many mini-batches make an epoch."""
         self._sensors, self._space = sensors, space
         self._mini_batches, self._count = mini_batches, 0
-        self.turned = False
-        """Whether the last mini-batch was mirrored."""
+        self.turned = False  # Whether the last mini-batch was mirrored.
 
     def restart(self) -> None:
         """Start an update."""

@@ -32,8 +32,7 @@ from league.training.ppo import distributed, make_env, symmetry
 from league.training.ppo.learner import Learner, Update
 from league.training.ppo.statistics import EpisodeStatistics
 
-NOISE_SHARE = 0.375
-"""Share of the first noise with which a taught policy starts: it need not find the way alone."""
+NOISE_SHARE = 0.375  # Share of the first noise for a taught policy: it need not find the way alone.
 
 
 def teacher_config(cfg: TrainConfig) -> TrainConfig:
