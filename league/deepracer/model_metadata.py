@@ -207,15 +207,15 @@ def _sensors(names: list[str], lidar: _Lidar | None) -> SensorConfig:
             f"most one lidar of {', '.join(_LIDARS)}"
         )
     camera = CameraConfig(width=160, height=120, eyes=_CAMERAS[cameras[0]])  # type: ignore
-    return SensorConfig(camera=camera, lidar=_scan(lidars[0], lidar) if lidars else None)
+    scan = _scan(lidars[0], lidar or _Lidar()) if lidars else None
+    return SensorConfig(camera=camera, lidar=scan)
 
 
-def _scan(name: str, config: _Lidar | None) -> LidarConfig:
+def _scan(name: str, config: _Lidar) -> LidarConfig:
     if name == "LIDAR":
         return LidarConfig(max_range=_LIDAR_REACH)
     if name == "SECTOR_LIDAR":
         return LidarConfig(form="sectors")
-    config = config or _Lidar()
     if config.num_sectors not in _SECTORS:
         raise ConfigError(
             f"lidar_config.num_sectors is {config.num_sectors}: give one of "

@@ -56,8 +56,7 @@ class Run:
     def __init__(self, cfg: RunConfig, folder: Path, *, background: bool = True) -> None:
         """Build worlds, learner and evaluator; LeagueError if settings are unknown or contradict.
 
-        Nothing is written before the first update. The folder is this run's alone; without
-        `background` evaluations come between updates.
+        Nothing is written yet. Without `background` evaluations come between updates.
         """
         cfg.check()
         self.cfg, self.folder = cfg, folder
@@ -91,13 +90,12 @@ class Run:
         # After what is refused at once, and before what takes seconds: it loads meanwhile.
         leads = distributed.is_first()
         self._evaluator = Evaluator(self._eval_cfg, background=background and leads)
+        sim = make_env.env_config(train).sim
         if self._reward is None:
-            car = make_env.env_config(train).sim.car
-            self._reward = rewards.built_in(cfg.reward, tracks, car)
+            self._reward = rewards.built_in(cfg.reward, tracks, sim.car)
         self._traces = folder / run_folder.SIMTRACE
         self._simtrace: TrainingTrace | None = None
         if cfg.simtrace and leads:
-            sim = make_env.env_config(train).sim
             self._simtrace = TrainingTrace(self._reward, self._traces, train.action_space, sim)
         reward = self._simtrace or self._reward
         with memory_explained():
@@ -107,9 +105,8 @@ class Run:
                 self.learner = make_racing(tracks, train, reward=own)
             else:
                 make = make_taught if train.teacher else make_learner
-                self.learner = make(
-                    tracks, train, opponents=dict(enumerate(cfg.opponents, 1)), reward=reward
-                )
+                opponents = dict(enumerate(cfg.opponents, 1))
+                self.learner = make(tracks, train, opponents=opponents, reward=reward)
         if self._parent is not None:
             self.learner.load_weights(self._parent.weights)
         self._submitted: dict[int, Checkpoint] = {}
@@ -294,9 +291,8 @@ class Run:
         if best:
             self._best, self._best_evaluation = merit, evaluation
             self._save_best(policy, {"updates": float(number), **evaluation.summary})
-        self.history.add_evaluation(
-            evaluation, number, time_s=self.spent_s, took_s=waited_s, best=best
-        )
+        spent = {"time_s": self.spent_s, "took_s": waited_s}
+        self.history.add_evaluation(evaluation, number, **spent, best=best)
 
     @memory_explained()
     def _finish(self, callbacks: Sequence[TrainingCallback]) -> None:

@@ -249,14 +249,10 @@ class LivePage:
             self._last.append(describe(one))
         self._stale = self._stale or bool(finished)
         if self._stale and time.monotonic() - self._fitted_s > REFIT_EVERY_S:
-            self._refit()
+            with suppress(LeagueError):  # where no entry is rated yet
+                self._standings = lazy.standings.of(self._store)
+            self._fitted_s, self._stale = time.monotonic(), False
         self.live.update(self._drawn(tally))
-
-    def _refit(self) -> None:
-        self._standings = None
-        with suppress(LeagueError):  # where no entry is rated yet
-            self._standings = lazy.standings.of(self._store)
-        self._fitted_s, self._stale = time.monotonic(), False
 
     def _drawn(self, tally: lazy.loop.Tally) -> RenderableType:
         from rich.console import Group

@@ -29,10 +29,7 @@ FLUSH_S = 10  # seconds after which what was added is on the disk
 
 
 class TensorBoard(TrainingCallback):
-    """Adds a point to each chart; the step is the number of updates, as in rsl-rl.
-
-    Nothing is written, nor TensorBoard loaded, before the first update.
-    """
+    """Adds a point to each chart; the step is the number of updates, as in rsl-rl."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -81,7 +78,7 @@ class TensorBoard(TrainingCallback):
             self._writer = None
 
     def _add(self, points: dict[str, float | None], step: int) -> None:
-        if self._writer is None:
+        if self._writer is None:  # nothing is written before the first update
             from torch.utils.tensorboard import SummaryWriter
 
             # Points of a killed run beyond the update at which it is resumed are not shown.
@@ -195,8 +192,7 @@ def draw_plot(history: TrainingHistory, path: Path) -> None:
 def plot_figure(history: TrainingHistory) -> Figure:
     """Return the three curves over the time of training, with samples along the upper edge.
 
-    Time and not samples, since a teacher may decide 20 times as often in the same time as the
-    policy that learns from it.
+    Not over samples, since a teacher may decide 20 times as often as the policy it teaches.
     """
     drawn = figures.figure(10.0, 5.4)
     completion = drawn.add_subplot()

@@ -143,8 +143,7 @@ def failing_together() -> Generator[None]:
 def interrupted_together() -> Generator[Callable[[], None]]:
     """Let Ctrl-C and SIGTERM stop all ranks at the same place; a single rank stops at once.
 
-    Yields:
-        The place: a call that raises KeyboardInterrupt in all ranks if any was interrupted.
+    The place is what is yielded: it raises KeyboardInterrupt in all ranks if any was interrupted.
     """
     if count() == 1:
         yield lambda: None

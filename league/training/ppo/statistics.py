@@ -31,9 +31,8 @@ class Episode:
 class EpisodeStatistics:
     """The last episodes of all rows.
 
-    As in the AWS console, an episode ends with a mistake or with a complete lap; after its lap a
-    car is in its next episode. Episodes cut off by a save point count, too: good drivers are cut
-    off more often than bad ones.
+    As in the AWS console, an episode ends with a mistake or a complete lap, after which the next
+    begins. Those cut off by a save point count, too: good drivers are cut off more often.
     """
 
     def __init__(self, num_rows: int) -> None:
