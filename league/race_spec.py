@@ -47,10 +47,10 @@ Name = Annotated[str, AfterValidator(printable)]
 class Entry(FrozenModel):
     """The driver of one car."""
 
-    # name of a scripted driver, or the label of a checkpoint
-    name: Name = Field(min_length=1, max_length=200)
-    # SHA-256 of the checkpoint; empty for scripted drivers
-    digest: str = Field(default="", max_length=64)
+    name: Name = Field(
+        min_length=1, max_length=200
+    )  # of a scripted driver, or a checkpoint's label
+    digest: str = Field(default="", max_length=64)  # SHA-256 of the checkpoint; none of a script
     # where the checkpoint was when the race was asked for; empty for scripted drivers
     path: str = Field(default="", max_length=1000, pattern=r"^(|.*\.pt)$")
 
@@ -67,8 +67,7 @@ class RaceSpec(FrozenModel):
     ranking: Literal["total", "best", "average"] = "total"
     # how many consecutive laps a mean is of, or all where fewer are raced
     average_laps: int = Field(default=2, ge=1, le=1000)
-    # which rules: those of this league, or the original's, under which older races were driven
-    rules: RulesName = "league"
+    rules: RulesName = "league"  # this league's, or the original's, which older races had
     entries: tuple[Entry, ...] = Field(min_length=1, max_length=8)  # the field, in grid order
     # How the cars line up: standing, in the order of a race's organiser; qualifying, the fastest
     # first; reverse, the fastest last; pursuit, spread evenly round the lap. `entries` are in the
@@ -76,20 +75,14 @@ class RaceSpec(FrozenModel):
     format: RaceFormat = "standing"
     # boxes or bots; by default six in obstacle avoidance, and none in the other kinds
     obstacles: int = Field(default=0, ge=0, le=MAX_OBSTACLES)
-    # standing boxes, or slow bot cars that change lanes
-    obstacle_kind: Literal["box", "bot"] = "box"
-    # obstacles at random places for each seed; otherwise evenly spaced
-    random_obstacles: bool = True
-    # seconds frozen after leaving the road
-    off_track_penalty_s: float = Field(default=2.0, ge=0, le=600)
-    # seconds frozen after the hardest contact to blame for
-    crash_penalty_s: float = Field(default=5.0, ge=0, le=600)
-    # the race is stopped after this time [s]; 0 chooses by length
-    max_time_s: float = Field(default=0.0, ge=0, le=36_000)
+    obstacle_kind: Literal["box", "bot"] = "box"  # boxes, or slow bot cars that change lanes
+    random_obstacles: bool = True  # at random places for each seed; otherwise evenly spaced
+    off_track_penalty_s: float = Field(default=2.0, ge=0, le=600)  # frozen after leaving the road
+    crash_penalty_s: float = Field(default=5.0, ge=0, le=600)  # after the hardest contact by fault
+    max_time_s: float = Field(default=0.0, ge=0, le=36_000)  # longest race [s]; 0: by length
     # how much cars of one kind differ, drawn from the seed; 0: not at all, 1: as in a league
     variation: float = Field(default=0.0, ge=0, le=10)
-    # largest speed at the start [m/s], drawn from the seed; 0: cars start at rest
-    start_speed: float = Field(default=0.0, ge=0, le=12)
+    start_speed: float = Field(default=0.0, ge=0, le=12)  # most at the start [m/s], by the seed
 
     @property
     def title(self) -> str:

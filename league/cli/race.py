@@ -17,11 +17,12 @@ from typing import TYPE_CHECKING, Annotated, Literal, Optional
 import tyro
 from tyro.conf import Positional, arg
 
-from league import times
+from league import __version__, times
 from league.atomic_file import check_writable
 from league.cli import lazy, tables
 from league.cli.season import OnLeague
 from league.errors import ConfigError, ReplayError
+from league.sim import PHYSICS
 from league.sim.config import USUAL_OBSTACLES
 
 if TYPE_CHECKING:
@@ -379,9 +380,6 @@ class Verify:
     """Checkpoints of the policies that raced, if they are no longer where they were."""
 
     def run(self) -> int:
-        from league import __version__
-        from league.sim import PHYSICS
-
         recorded = lazy.replay.read(self.replay)
         if recorded.physics != PHYSICS:
             then = f"physics {recorded.physics}" if recorded.physics else "an earlier physics"

@@ -82,7 +82,31 @@ class Train:
 
     def run(self) -> int:
         precompile.ensure()
-        return _train(self)
+        cfg, is_first = self.cfg, lazy.distributed.is_first()
+        if is_first and any(name.startswith("generated:") for name in cfg.tracks):
+            print("Drawing the tracks; hundreds take half a minute.", flush=True)
+        with (
+            lazy.learner.threads(cfg.threads),
+            _interrupted_by_sigterm(),
+            closing(lazy.run.Run(cfg, self.folder)) as run,
+        ):
+            if self.resume:
+                _resume(self, run)
+            callbacks = _callbacks(self, run) if is_first else []
+            try:
+                outcome = run.learn(callbacks)
+            except KeyboardInterrupt:
+                if is_first:
+                    print(f"\nStopped. {_kept(self)}", file=sys.stderr)
+                return 130
+            except RewardError:
+                if is_first:
+                    _show_printed(self.folder)
+                    print(_kept(self), file=sys.stderr)
+                raise
+        if is_first:
+            _report(self, outcome)
+        return 0
 
 
 def parse(arguments: list[str]) -> Train:
@@ -149,34 +173,6 @@ def _refuse_taken(command: Train) -> None:
         raise ConfigError(
             f"{command.out} exists already: give --overwrite to have it replaced, or another --out"
         )
-
-
-def _train(command: Train) -> int:
-    cfg, is_first = command.cfg, lazy.distributed.is_first()
-    if is_first and any(name.startswith("generated:") for name in cfg.tracks):
-        print("Drawing the tracks; hundreds take half a minute.", flush=True)
-    with (
-        lazy.learner.threads(cfg.threads),
-        _interrupted_by_sigterm(),
-        closing(lazy.run.Run(cfg, command.folder)) as run,
-    ):
-        if command.resume:
-            _resume(command, run)
-        callbacks = _callbacks(command, run) if is_first else []
-        try:
-            outcome = run.learn(callbacks)
-        except KeyboardInterrupt:
-            if is_first:
-                print(f"\nStopped. {_kept(command)}", file=sys.stderr)
-            return 130
-        except RewardError:
-            if is_first:
-                _show_printed(command.folder)
-                print(_kept(command), file=sys.stderr)
-            raise
-    if is_first:
-        _report(command, outcome)
-    return 0
 
 
 @contextmanager

@@ -89,14 +89,10 @@ def merit_of(evaluation: Evaluation) -> tuple[float, ...]:
     return (-fmean(evaluation.places), *driven) if evaluation.places else driven
 
 
-MODULES = (
-    "league.agents.policy",
-    "league.agents.roster",
-    "league.racing.evaluate",
-    "league.sim.physics.bullet",
-    "league.sim.camera.renderer",
+MODULES = (  # that an evaluating process imports
+    *("league.agents.policy", "league.agents.roster", "league.racing.evaluate"),
+    *("league.sim.physics.bullet", "league.sim.camera.renderer"),
 )
-"""Modules that an evaluating process imports."""
 
 
 class Evaluator:

@@ -43,8 +43,7 @@ class Outcome:
     samples: int  # decisions learnt from
     time_s: float  # learning time, of earlier parts too [s]
     why: str  # why it stopped
-    # of self-play: how fast a rival the policy passes, and keeps behind
-    duels: Threshold | None = None
+    duels: Threshold | None = None  # of self-play: which rivals it passes, and keeps behind
 
 
 class Run:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 import json
 import sys
 import time
@@ -16,6 +17,7 @@ from league.atomic_file import replacing
 from league.cli import lazy, season, tables
 from league.cli.season import OnLeague, OnServer, Reading
 from league.errors import ConfigError, PolicyError, nearest_names
+from league.sim import PHYSICS
 
 ANCHORS = ("centerline", "racing_line", "cautious", "blocker")
 """Scripted drivers that a new league begins with; the first one is 1000."""
@@ -97,8 +99,6 @@ class Submit(OnServer):
 
     def _entered(self, name: str) -> dict[str, Any]:
         """Enter the driver here, and return what became of it."""
-        import getpass
-
         owner = self.owner or getpass.getuser()
         with self.opened() as store:
             if self.driver not in lazy.roster.NAMES:
@@ -206,8 +206,6 @@ class Upgrade(OnLeague):
     begin again, because results of different physics cannot be compared."""
 
     def run(self) -> None:
-        from league.sim import PHYSICS
-
         for step in lazy.store.upgrade(self.address):
             print(step)
         with self.opened() as league:

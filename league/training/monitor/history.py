@@ -45,10 +45,9 @@ class UpdateRow:
     collect_s: float  # wall time of this update's rollout: physics, cameras, reward and policy [s]
     learn_s: float  # wall time of this update's learning [s]
     reward: _Number  # mean reward of a step
-    # mean sum of rewards of the last training episodes; None before the first one ended
-    earned: float | None
-    # mean completion of the last training episodes [%]; None before the first one ended
-    completion: float | None
+    # Of the last training episodes; None before the first one ended.
+    earned: float | None  # mean sum of rewards
+    completion: float | None  # mean completion [%]
     losses: dict[str, _Number]  # mean losses by rsl-rl's names
     log: dict[str, _Number]  # means of the worlds' log over the steps
 

@@ -46,15 +46,13 @@ class Update:
     log: dict[str, float]  # means of the worlds' log over the steps
     learning_rate: float | None = None  # step size of the optimiser
     mean_std: float | None = None  # mean standard deviation of the actions
-    # mean steps from one end of an episode to the next; None before the first one
-    episode_steps: float | None = None
+    episode_steps: float | None = None  # mean steps between ends of episodes; None before any
 
 
 class Learner:
-    """PPO with its worlds.
+    """PPO with its worlds; each rank of torchrun has a learner with worlds of its own.
 
-    Each rank of torchrun has a learner with worlds of its own. They update together, with equal
-    weights; rewards and episodes are reported of the rank's own worlds.
+    They update together, with equal weights; rewards and episodes are those of the rank's worlds.
     """
 
     def __init__(self, env: RacingVecEnv, cfg: TrainConfig) -> None:
@@ -99,8 +97,7 @@ class Learner:
     def weights(self) -> dict[str, np.ndarray]:
         """Return the actor's weights, averaged over the last updates, as copies.
 
-        One update can make a policy that rarely attacks, and the next one another: the average of
-        their weights drives better than any of them (docs/training.md).
+        The average drives better than any of those policies (docs/training.md).
         """
         return network.from_learner(self._average)
 
