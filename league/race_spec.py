@@ -47,9 +47,7 @@ Name = Annotated[str, AfterValidator(printable)]
 class Entry(FrozenModel):
     """The driver of one car."""
 
-    name: Name = Field(
-        min_length=1, max_length=200
-    )  # of a scripted driver, or a checkpoint's label
+    name: Name = Field(min_length=1, max_length=200)  # of a scripted driver, or a label
     digest: str = Field(default="", max_length=64)  # SHA-256 of the checkpoint; none of a script
     # where the checkpoint was when the race was asked for; empty for scripted drivers
     path: str = Field(default="", max_length=1000, pattern=r"^(|.*\.pt)$")

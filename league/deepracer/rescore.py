@@ -38,10 +38,7 @@ class Score:
 
 
 def score(replay: Replay, reward: Reward, name: str) -> Score:
-    """Return what a reward, which should pay all cars, gives each car for each recorded step.
-
-    RewardError if a user's function fails.
-    """
+    """Return what a reward of all cars gives for each step; RewardError if a function fails."""
     finished = _happened(replay, "finish").cumsum(axis=0) > 0
     raced = np.where(finished.any(axis=0), finished.argmax(axis=0), replay.num_frames - 1)
     steps = []

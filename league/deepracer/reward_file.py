@@ -99,10 +99,7 @@ class RewardFile:
         return _compiled, (self.path, self.text, self.digest, self.prints)
 
     def instance(self) -> Function:
-        """Run the file in a new module and return its reward function.
-
-        RewardError if the file fails, or has no function of one parameter.
-        """
+        """Run the file in a new module; return its function, or RewardError if it has none."""
         module = ModuleType(f"{NAME}_{next(_MODULE_NUMBERS)}")
         module.__file__ = str(self.path)
         vars(module)["print"] = self.prints.keep
@@ -244,10 +241,7 @@ class UserReward:
         *,
         time_limit_s: float = TIME_LIMIT_S,
     ) -> None:
-        """Run the file once for each paid car; RewardError if it fails.
-
-        It fails, too, if a call lasts longer than `time_limit_s`.
-        """
+        """Run the file once for each paid car; RewardError if it fails or takes `time_limit_s`."""
         self.source, self.cars = source, tuple(cars)
         self._builder = ParamsBuilder(sim, cars)
         self._large = False

@@ -242,10 +242,7 @@ class RunConfig:
 
 
 def check_resumed(cfg: RunConfig, stored: RunConfig, folder: Path) -> None:
-    """Check that a run that was started with the settings `stored` may go on with these.
-
-    ConfigError says which setting differs that may not, or that the budget is smaller.
-    """
+    """Check that a run of the settings `stored` may go on with these; ConfigError says why not."""
     changed = list(_differences(cfg, stored))
     kept = [flag for flag, rule, *_ in changed if rule == "kept"]
     if kept:

@@ -127,10 +127,7 @@ class TrainingHistory:
         return bool(self.updates) and TEACHING in self.updates[-1].log
 
     def learnt_s(self, rows: Iterable[Row]) -> list[float]:
-        """Return the wall time at which the policy of each row had been learnt [s].
-
-        An evaluation takes a while, so its row is that much later.
-        """
+        """Return when the policy of each row had been learnt [s]: evaluations take a while."""
         times = {row.number: row.time_s for row in self.updates}
         return [times.get(row.number, row.time_s) for row in rows]
 
