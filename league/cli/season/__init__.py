@@ -14,7 +14,6 @@ from league.errors import ConfigError, brief
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-
 DEFAULT = "sqlite:///league.db"
 
 

@@ -24,7 +24,6 @@ from league.errors import ConfigError, LeagueError
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-
 REFIT_EVERY_S = 5.0  # Interval at which the page computes the standings, at least [s].
 TOP = 12  # Entries on the page.
 PATIENCE_S = 600.0  # How long a remote worker waits for a server that does not answer [s].
@@ -102,13 +101,10 @@ class Work(Racing, OnServer):
         self._check()
         if self.lease_s > 600:
             raise ConfigError(f"--lease-s {self.lease_s}: give 1 to 600 s with --to")
-        client = self.client()
-        queue = lazy.remote.RemoteQueue(replace(client, patience_s=PATIENCE_S))
-        lazy.remote.RemoteQueue(client).heartbeat(
-            "hello", lease_s=60.0, keys=()
-        )  # fails at once, if at all
+        client, queue = self.client(), lazy.remote.RemoteQueue
+        queue(client).heartbeat("hello", lease_s=60.0, keys=())  # fails at once, if at all
         print(f"Racing for {client.url}; Ctrl-C finishes the heats under way.", flush=True)
-        self._race(queue, None)
+        self._race(queue(replace(client, patience_s=PATIENCE_S)), None)
 
 
 @dataclass

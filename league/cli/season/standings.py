@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from league.matchmaking.standings import Standings
     from league.matchmaking.store import LeagueEntry, Season, Store
 
-
 NAMES_WIDTH, CELL_WIDTH = 18, 8  # Of the matrix of all against all, with the gaps between columns.
 
 
