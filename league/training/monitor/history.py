@@ -76,11 +76,12 @@ class EvaluationRow:
     best: bool  # whether the policy was then the best so far
 
 
-_FIGURES = (
+# What rows take as it is, of an update and of an evaluation.
+_OF_UPDATE = ("number", "samples", "reward", "losses", "log")
+_OF_EVALUATION = (
     *("asked", "complete_laps", "clean_laps", "best_lap_s", "mean_lap_s", "best_flying_s"),
     *("off_tracks", "crashes"),
 )
-"""Figures of an evaluation that its row takes as they are."""
 Row = UpdateRow | EvaluationRow
 _ROW: TypeAdapter[Row] = TypeAdapter(Annotated[Row, Discriminator("row")])
 
@@ -135,14 +136,12 @@ class TrainingHistory:
         """Add an update; `time_s` is the wall time of the run, before a resume too [s]."""
         completion = episodes.completion
         row = UpdateRow(
-            **{name: getattr(update, name) for name in ("number", "samples", "reward")},
+            **{name: getattr(update, name) for name in _OF_UPDATE},
             time_s=round(time_s, 4),
             collect_s=round(update.collect_s, 4),
             learn_s=round(update.learn_s, 4),
             earned=episodes.earned,
             completion=None if completion is None else 100.0 * completion,
-            losses=dict(update.losses),
-            log=dict(update.log),
         )
         self.updates.append(row)
         self._write(row)
@@ -164,7 +163,7 @@ class TrainingHistory:
             last_lap_s=laps_s[-1] if laps_s else None,
             best=best,
             **{name: round(value, 4) for name, value in times.items()},
-            **{name: getattr(evaluation, name) for name in _FIGURES},
+            **{name: getattr(evaluation, name) for name in _OF_EVALUATION},
         )
         self.evaluations.append(row)
         self._write(row)
