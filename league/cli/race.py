@@ -425,4 +425,4 @@ def _recorded(command: View, path: Path) -> lazy.replay.Replay:
                 f"there is no replay of race {command.race} of heat {record.number} "
                 f"({record.state}): replays are kept of race {there or 'none'}"
             )
-        return lazy.replay.format.decode(store.blobs.get(kept[command.race] or ""))
+        return lazy.format.decode(store.blobs.get(kept[command.race] or ""))
