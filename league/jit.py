@@ -165,11 +165,12 @@ class _ScalarLibrary(JITCodeLibrary):
     """The code of a function whose loops LLVM leaves as they are."""
 
     def _optimize_final_module(self) -> None:
-        usual, config.LOOP_VECTORIZE = config.LOOP_VECTORIZE, 0
+        options: Any = config
+        usual, options.LOOP_VECTORIZE = options.LOOP_VECTORIZE, 0
         try:
             super()._optimize_final_module()
         finally:
-            config.LOOP_VECTORIZE = usual
+            options.LOOP_VECTORIZE = usual
 
 
 class _ScalarCompiler(Compiler):
