@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import caching
+from numba.core import caching, config
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.runtime.nrt import rtsys
@@ -161,20 +161,47 @@ class _PartCompiler(Compiler):
         return super().define_pipelines()
 
 
+class _ScalarLibrary(JITCodeLibrary):
+    """The code of a function whose loops LLVM leaves as they are."""
+
+    def _optimize_final_module(self) -> None:
+        options: Any = config
+        usual, options.LOOP_VECTORIZE = options.LOOP_VECTORIZE, 0
+        try:
+            super()._optimize_final_module()
+        finally:
+            options.LOOP_VECTORIZE = usual
+
+
+class _ScalarCompiler(Compiler):
+    """Numba's compiler, for a function whose loops are over records."""
+
+    def define_pipelines(self) -> Any:  # noqa: ANN401
+        state: Any = self.state
+        state.library = _ScalarLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        return super().define_pipelines()
+
+
 _ENTRY: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
 _INNER: dict[str, Any] = {**_ENTRY, "no_cpython_wrapper": True, "pipeline_class": _PartCompiler}
 
 
-def compiled(function: _Function | None = None, *, allocates: bool = False) -> Any:  # noqa: ANN401
+def compiled(
+    function: _Function | None = None, *, allocates: bool = False, vectorizes: bool = True
+) -> Any:  # noqa: ANN401
     """Compile a function that is called from Python; its machine code is kept on disk.
 
     It releases the interpreter, so that several threads may each work on worlds of their own.
     `allocates` says whether it makes or returns arrays: otherwise views of arrays have no reference
-    counts, which cost more than the arithmetic of a short function.
+    counts, which cost more than the arithmetic of a short function. `vectorizes` says whether LLVM
+    may work several rounds of a loop at a time: a loop over cars only becomes slower, because
+    their records have to be gathered and scattered.
     """
     if function is None:
-        return partial(compiled, allocates=allocates)
-    dispatcher = njit(nogil=True, _nrt=allocates, **_ENTRY)(function)
+        return partial(compiled, allocates=allocates, vectorizes=vectorizes)
+    options = _ENTRY if vectorizes else {**_ENTRY, "pipeline_class": _ScalarCompiler}
+    dispatcher = njit(nogil=True, _nrt=allocates, **options)(function)
     if cache_folder() is not None:
         dispatcher._cache = _Cache(function)
     return dispatcher

@@ -271,6 +271,21 @@ def test_functions_that_only_compiled_ones_call_have_no_machine_code_of_their_ow
         assert loaded is ours, part.__name__
 
 
+@pytest.mark.parametrize("wanted", [True, False])
+def test_loops_are_vectorised_unless_a_function_says_not_to(monkeypatch, wanted):
+    monkeypatch.setattr(jit, "cache_folder", lambda: None)
+
+    def squared(values, out):
+        for k in range(len(values)):
+            out[k] = values[k] * values[k]
+
+    function, out = jit.compiled(squared, vectorizes=wanted), np.zeros(9, np.float32)
+    function(np.arange(9, dtype=np.float32), out)
+    assert out.tolist() == [0, 1, 4, 9, 16, 25, 36, 49, 64]
+    (code,) = function.inspect_llvm().values()
+    assert ("x float>" in code) is wanted
+
+
 @pytest.mark.slow
 def test_everything_is_compiled_in_advance(tmp_path):
     wanted = {

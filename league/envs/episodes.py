@@ -92,17 +92,7 @@ def _begin_anywhere(mask, cars, obstacles, world, points, course, sim):
             frame = frame_at(points, course, spots[c])
             across = uniform_of(world.seed, _SIDE, world.step, c) - _HALF
             lateral = across * min(frame.left, frame.right)
-            _begin(c, cars, world, spots[c], lateral, points, course, sim)
-
-
-@inner
-def _begin(c, cars, world, s, lateral, points, course, sim):
-    """Begin one car's episode at rest, with a new book: its laps begin where it stands."""
-    car = cars[c]
-    grid.stand(car, points, course, s, lateral)
-    car.zero_s = car.s if course.closed else _ZERO
-    grid.blank_book(car, car.s - car.zero_s, f32(world.step) * sim.step_dt)
-    grid.draw_parameters(car, c, world.seed, world.step, sim)
+            grid.begin_episode(c, cars, world, spots[c], lateral, points, course, sim)
 
 
 @inner

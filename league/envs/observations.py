@@ -34,6 +34,7 @@ _FIRST_CURVATURE = INDEX[f"curvature_{LOOKAHEADS[0]:g}m"]
 _LARGEST_DIVISOR = 10**6  # of a sensor's rate as a fraction [1/s]
 _ZERO, _ONE = f32(0.0), f32(1.0)
 _INFINITE = f32(np.inf)
+_NONE = 1 << 62  # what `_nearest` returns where there is no car
 
 
 def history_size(sensors: SensorConfig) -> int:
@@ -89,15 +90,21 @@ def _state(c, cars, obstacles, points, course, out):
 
 
 @inner
-def _nearest(c, cars, taken, reach, with_ghosts, course):
-    """Return the nearest car along the track within reach that is not taken; -1, and the gap."""
-    chosen, least, gap = -1, reach, _ABSENT
+def _nearest(c, cars, with_ghosts, course):
+    """Return keys of the three nearest cars along the track, nearest first, or _NONE.
+
+    A key is a distance with the car's number in its three lowest bits: positive floats are ordered
+    as their bits are, and whole numbers are sorted without branches.
+    """
+    first = second = third = _NONE
     for other in range(len(cars)):
-        if other != c and not (taken >> other) & 1 and (with_ghosts or not cars[other].ghost):
-            away = signed_gap(course, cars[other].s, cars[c].s)
-            if abs(away) < least:
-                chosen, least, gap = other, abs(away), away
-    return chosen, gap
+        if other != c and (with_ghosts or not cars[other].ghost):
+            away = abs(signed_gap(course, cars[other].s, cars[c].s))
+            key = np.int64(f32(away).view(np.int32)) << 3 | other
+            first, key = min(first, key), max(first, key)
+            second, key = min(second, key), max(second, key)
+            third = min(third, key)
+    return first, second, third
 
 
 @inner
@@ -114,17 +121,17 @@ def _next(car, obstacles, taken, reach, course):
 
 @inner
 def _neighbours(c, cars, points, course, out):
-    taken = 0
+    first, second, third = _nearest(c, cars, True, course)
     for rank in range(NEIGHBOURS):
-        chosen, gap = _nearest(c, cars, taken, _INFINITE, True, course)
+        chosen, first, second, third = first, second, third, _NONE
         at = _FIRST_CAR + 5 * rank
-        out[at], out[at + 1] = _ZERO, gap
+        out[at], out[at + 1] = _ZERO, _ABSENT
         out[at + 2], out[at + 3], out[at + 4] = _ZERO, _ZERO, _ZERO
-        if chosen >= 0:
-            taken |= 1 << chosen
-            rival = cars[chosen]
+        if chosen != _NONE:
+            rival = cars[chosen & 7]
             frame = frame_at(points, course, rival.s)
-            out[at], out[at + 2] = _ONE, rival.lateral
+            out[at], out[at + 1] = _ONE, signed_gap(course, rival.s, cars[c].s)
+            out[at + 2] = rival.lateral
             out[at + 3] = rival.velocity_x * frame.cos + rival.velocity_y * frame.sin
             out[at + 4] = _ONE if frozen(rival) else _ZERO
 
@@ -220,13 +227,16 @@ def _truth(c, cars, obstacles, points, course, out):
 
 @inner
 def _rivals(c, cars, course, sin, cos, out):
-    car, taken = cars[c], 0
+    car = cars[c]
+    first, second, third = _nearest(c, cars, False, course)
     for rank in range(RIVALS):
-        chosen, gap = _nearest(c, cars, taken, _REACH, False, course)
-        if chosen < 0:
+        chosen, first, second, third = first, second, third, _NONE
+        if chosen == _NONE:
             return
-        taken |= 1 << chosen
-        rival, at = cars[chosen], _FIRST_RIVAL + _PER_RIVAL * rank
+        rival, at = cars[chosen & 7], _FIRST_RIVAL + _PER_RIVAL * rank
+        gap = signed_gap(course, rival.s, car.s)
+        if abs(gap) >= _REACH:
+            return
         x, y = rival.x - car.x, rival.y - car.y
         out[at], out[at + 1] = _ONE, gap
         out[at + 2], out[at + 3] = cos * x + sin * y, cos * y - sin * x

@@ -12,7 +12,7 @@ import numpy as np
 from league.envs.rewards import NEAR
 from league.jit import inner
 from league.portable_math import atan, clamp, f32, heading_of, wrap_angle
-from league.sim import grid
+from league.sim import blame, grid
 from league.sim.records import NOBODY
 from league.sim.rng import purposes, uniform_of
 from league.sim.settings import GRAVITY
@@ -51,7 +51,7 @@ _SLOWEST, _FASTER, _SPREAD = f32(0.3), f32(0.7), f32(0.15)
 _AT_REST = f32(0.3)
 """Share of cars alone that begin at rest, as after a penalty."""
 _START, _END = f32(0.2), f32(0.5)
-_LEAST_BEND, _STEEPEST = f32(1e-3), f32(0.3)
+_STEEPEST = f32(0.3)
 _LOOK = np.array((0.0, 0.4, 0.8, 1.2), np.float32)
 _GRAVITY, _FAR = f32(GRAVITY), f32(1e6)
 _ZERO, _HALF, _ONE, _TWO = f32(0.0), f32(0.5), f32(1.0), f32(2.0)
@@ -94,13 +94,11 @@ def begin(encounter, cars, obstacles, world, points, course, sim, rules):
     ahead = _ZERO
     for place in range(num_cars):
         c = order[place]
-        grid.stand(cars[c], points, course, spots[place, 0], spots[place, 1])
-        cars[c].zero_s = cars[c].s if course.closed else _ZERO
-        grid.blank_book(cars[c], cars[c].s - cars[c].zero_s, f32(step) * sim.step_dt)
-        grid.draw_parameters(cars[c], c, seed, step, sim)
+        grid.begin_episode(c, cars, world, spots[place, 0], spots[place, 1], points, course, sim)
         cars[c].top_speed = _top_speed(place, size, world, sim, rules)
         own = _TWO * uniform_of(seed, _OWN_PACE, step, c) - _ONE
-        limit = min(_allowed(cars[c], points, course, sim), cars[c].top_speed)
+        limit = blame.allowed_speed(cars[c].s, _LOOK, points, course, sim)
+        limit = min(limit, cars[c].top_speed)
         speed = min(base * (_ONE + _SPREAD * own), limit)
         if place % size and not abreast:
             gap = signed_gap(course, cars[order[place - 1]].s, cars[c].s)
@@ -278,15 +276,6 @@ def _top_speed(place, size, world, sim, rules):
         slow = _ROADBLOCK[0] + (_ROADBLOCK[1] - _ROADBLOCK[0]) * slow
         return top * slow * (_ONE + _SPREAD * (_TWO * drawn - _ONE))
     return top * (rules.slowest_rival + (rules.fastest_rival - rules.slowest_rival) * drawn)
-
-
-@inner
-def _allowed(car, points, course, sim):
-    """Return the speed that the next bend allows at a rolling start [m/s]."""
-    sharpest = _ZERO
-    for k in range(len(_LOOK)):
-        sharpest = max(sharpest, abs(curvature_at(points, course, car.s + _LOOK[k])))
-    return f32(math.sqrt(sim.grip * _GRAVITY / max(sharpest, _LEAST_BEND)))
 
 
 @inner

@@ -43,7 +43,7 @@ FINE, BAD_ACTION, BAD_STATE = 0, 1, 2
 _ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)
 
 
-@compiled
+@compiled(vectorizes=False)
 def step(
     first,
     last,

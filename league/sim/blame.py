@@ -226,7 +226,7 @@ def _closing_speed(c, other, before, cars, points, course, settings):
 def _impedes(c, before, cars, obstacles, points, course, settings):
     """Return whether a car drives, and wants to, far below its own pace for no visible reason."""
     me = before[c]
-    slow = _FAR_SLOWER * me.pace * _allowed_speed(me.s, points, course, settings)
+    slow = _FAR_SLOWER * me.pace * allowed_speed(me.s, _LOOK, points, course, settings)
     speed = f32(math.sqrt(me.velocity_x * me.velocity_x + me.velocity_y * me.velocity_y))
     if speed >= slow or cars[c].target_speed >= slow:
         return False
@@ -247,16 +247,19 @@ def _learn_pace(old, car, seen, points, course, settings):
     """Note the largest share of the speed allowed by the road that a car has driven."""
     if grid.is_racing(old):
         speed = seen.advance * settings.step_hz
-        share = speed / _allowed_speed(car.s, points, course, settings)
+        share = speed / allowed_speed(car.s, _LOOK, points, course, settings)
         car.pace = max(car.pace, min(share, _ONE))
 
 
 @inner
-def _allowed_speed(s, points, course, settings):
-    """Return about how fast a car can be at a place, for the bends before and after it [m/s]."""
+def allowed_speed(s, look, points, course, settings):
+    """Return about how fast a car can be at a place, for the bends this far from it [m/s].
+
+    `look` are distances along the track, negative behind the car, float32 (any,) [m].
+    """
     sharpest = _LEAST_BEND
-    for k in range(len(_LOOK)):
-        sharpest = max(sharpest, abs(curvature_at(points, course, s + _LOOK[k])))
+    for k in range(len(look)):
+        sharpest = max(sharpest, abs(curvature_at(points, course, s + look[k])))
     return min(f32(math.sqrt(settings.grip * _GRAVITY / sharpest)), settings.max_speed)
 
 

@@ -125,6 +125,16 @@ def blank_book(car, distance, now_s):
 
 
 @inner
+def begin_episode(c, cars, world, s, lateral, points, course, settings):
+    """Begin one car's episode at rest, with a new book: its laps begin where it stands."""
+    car = cars[c]
+    stand(car, points, course, s, lateral)
+    car.zero_s = car.s if course.closed else _ZERO
+    blank_book(car, car.s - car.zero_s, f32(world.step) * settings.step_dt)
+    draw_parameters(car, c, world.seed, world.step, settings)
+
+
+@inner
 def move(car, points, course, shift, lateral):
     """Put a car at rest `shift` along the track from here, at `lateral` [m]; its book goes on."""
     car.distance = car.distance + shift

@@ -274,7 +274,8 @@ def test_a_car_that_a_wall_stops_is_hit_from_behind_within_the_step():
 @numba.njit
 def count_near(cars, obstacles, course, pairs, sim):
     room = np.empty((len(pairs) + 4 * len(cars), 2), np.int64)  # four walls, and no obstacles here
-    return planar._near(cars, obstacles, course, pairs, sim, room)
+    close = planar._close_pairs(cars, pairs, sim)
+    return planar._near(close, cars, obstacles, course, pairs, sim, room)
 
 
 def test_only_bodies_that_may_meet_within_the_step_are_pairs():
@@ -297,39 +298,11 @@ def test_only_bodies_that_may_meet_within_the_step_are_pairs():
 
 
 @numba.njit
-def all_apart(cars, obstacles, course, sim):
-    return planar._all_apart(cars, obstacles, course, sim)
-
-
-def test_all_are_apart_exactly_where_no_bodies_are_near():
-    sim = open_floor.settings(3)
-    pairs, course = planar.schedule(3), open_floor.floor().courses[0]
-    generator, seen = np.random.default_rng(4), set()
-    for _ in range(200):
-        now = open_floor.world(
-            sim,
-            x=generator.uniform(-1.0, 1.0, 3) * open_floor.WALL,
-            y=generator.uniform(-0.5, 0.5, 3),
-            velocity_x=generator.uniform(-3.0, 3.0, 3),
-            ghost=generator.random(3) < 0.2,
-            penalty_s=generator.choice([0.0, 1.0], 3),
-        )
-        given = now.cars[0], now.obstacles[0], course
-        apart = all_apart(*given, settings(sim)[0])
-        assert apart == (count_near(*given, pairs, settings(sim)[0]) == 0)
-        seen.add(bool(apart))
-    assert seen == {True, False}
-
-
-@numba.njit
-def packed_pairs(cars, obstacles, course, pairs, sim, room):
-    """Return what is packed, whether some meet, how many were unpacked, and how many are near."""
-    close = planar._close_pairs(cars, obstacles, course, pairs, sim)
-    if close == planar._MANY:
-        return close, False, 0, planar._near(cars, obstacles, course, pairs, sim, room[1])
-    number, near = planar._unpacked(close, room[0]), room[1]
-    meet = planar._some_meet(close, cars, sim)
-    return close, meet, number, planar._near(cars, obstacles, course, pairs, sim, near)
+def near_and_meeting(cars, obstacles, course, pairs, sim, room):
+    """Return how many bodies are near, and whether some cars meet in the physics step."""
+    close = planar._close_pairs(cars, pairs, sim)
+    number = planar._near(close, cars, obstacles, course, pairs, sim, room)
+    return number, planar._some_meet(close, cars, pairs, sim)
 
 
 @numba.njit
@@ -348,7 +321,7 @@ def looked_at(cars, near, sim):
     return seen
 
 
-def test_pairs_that_are_packed_are_those_that_are_near_and_meet_where_boxes_are_looked_at():
+def test_cars_meet_where_boxes_are_looked_at():
     sim, num_cars = open_floor.settings(8), 8
     pairs, course = planar.schedule(num_cars), open_floor.floor().courses[0]
     generator, seen = np.random.default_rng(6), set()
@@ -360,16 +333,12 @@ def test_pairs_that_are_packed_are_those_that_are_near_and_meet_where_boxes_are_
             velocity_x=generator.uniform(-3.0, 3.0, num_cars),
             yaw_rate=generator.uniform(-5.0, 5.0, num_cars),
         )
-        room = np.zeros((2, 100, 2), np.int64)
+        room = np.zeros((100, 2), np.int64)
         given = now.cars[0], now.obstacles[0], course, pairs, settings(sim)[0]
-        close, meet, number, near = packed_pairs(*given, room)
-        assert (close == planar._MANY) == (near > 8)
-        if close != planar._MANY:
-            assert number == near
-            assert room[0, :near].tolist() == room[1, :near].tolist()
-            assert meet == looked_at(now.cars[0], room[1, :near], settings(sim)[0])
-        seen.add((close == planar._MANY, meet, near > 0))
-    assert {(True, False, True), (False, True, True), (False, False, True)} <= seen
+        near, meet = near_and_meeting(*given, room)
+        assert meet == looked_at(now.cars[0], room[:near], settings(sim)[0])
+        seen.add((meet, near > 0))
+    assert seen == {(True, True), (False, True), (False, False)}
 
 
 @numba.njit

@@ -15,9 +15,6 @@ _HALF_WALL = f32(HALF_WALL)
 REACH_MARGIN = f32(0.1)
 """Added to the distance two bodies may close in a control step [m]; covers what forces add."""
 NUM_WALLS = 4
-_PAIR_BITS, _MOST_PAIRS = 7, 8
-_MANY = -1
-"""What `_close_pairs` returns where it cannot say; a car takes 3 bits, as there are 8 at most."""
 _ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)
 
 
@@ -45,75 +42,52 @@ def step_world(cars, obstacles, course, controls, contacts, pairs, settings):
     The motion of the cars is changed, their contacts are overwritten. Controls are target steering
     [rad] and speed [m/s] of each car, float32 (num_cars, 2); `pairs` are those of `schedule`.
     """
-    num_cars, dt = len(cars), settings.physics_dt
+    num_cars, near_fixed = len(cars), False
     for c in range(num_cars):
         contacts[c].cars, contacts[c].obstacles, contacts[c].wall = 0, 0, False
         if frozen(cars[c]):
             cars[c].velocity_x, cars[c].velocity_y, cars[c].yaw_rate = _ZERO, _ZERO, _ZERO
-    if _all_apart(cars, obstacles, course, settings):
-        for k in range(settings.decimation):
-            for c in range(num_cars):
-                if not frozen(cars[c]):
-                    _accelerate(cars[c], controls[c], settings, k)
-                    _move(cars[c], dt, _ZERO, _ZERO)
-    else:
-        close, done = _close_pairs(cars, obstacles, course, pairs, settings), 0
-        if close != _MANY:
-            done = _drive_apart(close, cars, controls, settings)
-        if done < settings.decimation:
-            _step_near(done, close, cars, obstacles, course, controls, contacts, pairs, settings)
+        near_fixed |= _may_hit_fixed(cars[c], obstacles, course, settings)
+    close = _close_pairs(cars, pairs, settings)
+    for k in range(settings.decimation):
+        for c in range(num_cars):
+            if not frozen(cars[c]):
+                _accelerate(cars[c], controls[c], settings, k)
+        # Most cars that may meet in a control step do not: arrays are made for those that do.
+        if near_fixed or _some_meet(close, cars, pairs, settings):
+            _step_near(k, close, cars, obstacles, course, controls, contacts, pairs, settings)
+            break
+        for c in range(num_cars):
+            if not frozen(cars[c]):
+                _move(cars[c], settings.physics_dt, _ZERO, _ZERO)
     for c in range(num_cars):
         cars[c].yaw = wrap_angle(cars[c].yaw)
 
 
-@inner
-def _drive_apart(close, cars, controls, settings):
-    """Move the cars until two come so close that `part` has to look at their boxes.
-
-    Most cars that may meet in a control step do not; without arrays this takes half of the time.
-    `close` is of _close_pairs. Returns the physics step in which they come close, in which the cars
-    have been accelerated but not moved; `settings.decimation` where they do not.
-    """
-    for k in range(settings.decimation):
-        for c in range(len(cars)):
-            if not frozen(cars[c]):
-                _accelerate(cars[c], controls[c], settings, k)
-        if _some_meet(close, cars, settings):
-            return k
-        for c in range(len(cars)):
-            if not frozen(cars[c]):
-                _move(cars[c], settings.physics_dt, _ZERO, _ZERO)
-    return settings.decimation
-
-
 @inner(allocates=True)
-def _step_near(done, close, cars, obstacles, course, controls, contacts, pairs, settings):
+def _step_near(first, close, cars, obstacles, course, controls, contacts, pairs, settings):
     fixed = len(obstacles) + NUM_WALLS
     arrays = arrays_of(max(len(cars) + fixed, len(pairs) + len(cars) * fixed))
-    _push_apart(arrays, done, close, cars, obstacles, course, controls, contacts, pairs, settings)
+    _push_apart(arrays, first, close, cars, obstacles, course, controls, contacts, pairs, settings)
 
 
 @inner
-def _push_apart(arrays, done, close, cars, obstacles, course, controls, contacts, pairs, settings):
-    """Move the cars through a control step in which some bodies may touch; see `part`.
+def _push_apart(arrays, first, close, cars, obstacles, course, controls, contacts, pairs, settings):
+    """Move the cars from a physics step on in which some bodies may touch; see `part`.
 
-    `close` is of _close_pairs, `done` of _drive_apart; 0, and no car accelerated, after _MANY.
+    In the first of these steps the cars have been accelerated already.
     """
     num_cars, dt = len(cars), settings.physics_dt
     bodies, boxes, shift, near, touched, scratch = views_of(arrays)
-    if close == _MANY:
-        number = _near(cars, obstacles, course, pairs, settings, near)
-    else:
-        number = _unpacked(close, near)
+    number = _near(close, cars, obstacles, course, pairs, settings, near)
     near, engaged = near[:number], 0
     for n in range(number):
         touched[n], engaged = 0, engaged | 1 << near[n, 0] | 1 << near[n, 1]
     _set_bodies(engaged, bodies, boxes, cars, obstacles, course, settings)
-    for k in range(done, settings.decimation):
-        accelerated = k == done and close != _MANY
+    for k in range(first, settings.decimation):
         for c in range(num_cars):
             car = cars[c]
-            if not (accelerated or frozen(car)):
+            if k > first and not frozen(car):
                 _accelerate(car, controls[c], settings, k)
             if (engaged >> c) & 1:
                 _write(bodies[c], car.x, car.y, car.yaw)
@@ -176,18 +150,6 @@ def _write(row, first, second, third):
 
 
 @inner
-def _all_apart(cars, obstacles, course, settings):
-    """Return whether no two bodies can touch in the control step."""
-    for c in range(len(cars)):
-        if _may_hit_fixed(cars[c], obstacles, course, settings):
-            return False
-        for other in range(c):
-            if _may_meet(cars[c], cars[other], settings):
-                return False
-    return True
-
-
-@inner
 def _may_hit_fixed(car, obstacles, course, settings):
     """Return whether a car may touch a wall or an obstacle in the control step."""
     nearest = min(course.x_max - car.x, car.x - course.x_min)
@@ -199,60 +161,42 @@ def _may_hit_fixed(car, obstacles, course, settings):
 
 
 @inner
-def _close_pairs(cars, obstacles, course, pairs, settings):
-    """Return which cars may touch which in the control step, in bits: a mark and both numbers.
-
-    It is _MANY where a car may touch a wall or an obstacle, or there are more pairs than fit.
-    """
-    for c in range(len(cars)):
-        if _may_hit_fixed(cars[c], obstacles, course, settings):
-            return _MANY
-    close = np.int64(0)
+def _close_pairs(cars, pairs, settings):
+    """Return which pairs of cars may touch in the control step, as a mask: bit n is pair n."""
+    close = 0
     for n in range(len(pairs)):
         if _may_meet(cars[pairs[n, 0]], cars[pairs[n, 1]], settings):
-            if close >> (_PAIR_BITS * (_MOST_PAIRS - 1)):
-                return _MANY
-            close = close << _PAIR_BITS | (1 << 6 | pairs[n, 0] << 3 | pairs[n, 1])
+            close |= 1 << n
     return close
 
 
 @inner
-def _unpacked(close, out):
-    """Write the pairs of _close_pairs, in their order, as `_near` does; return how many."""
-    number, rest = 0, close
-    while rest:
-        number, rest = number + 1, rest >> _PAIR_BITS
-    for n in range(number):
-        pair = close >> (_PAIR_BITS * (number - 1 - n))
-        out[n, 0], out[n, 1] = pair >> 3 & 7, pair & 7
-    return number
-
-
-@inner
-def _some_meet(close, cars, settings):
+def _some_meet(close, cars, pairs, settings):
     """Return whether `part` would look closer at any of these pairs; it is `_are_apart` there."""
-    while close:
-        one, two = cars[close >> 3 & 7], cars[close & 7]
-        closing = abs(two.velocity_x - one.velocity_x) + abs(two.velocity_y - one.velocity_y)
-        closing += abs(one.yaw_rate) * settings.radius + abs(two.yaw_rate) * settings.radius
-        room = settings.radius + settings.radius + closing * settings.physics_dt + SLOP
-        dx, dy = two.x - one.x, two.y - one.y
-        if not dx * dx + dy * dy > room * room:
-            return True
-        close >>= _PAIR_BITS
+    n = 0
+    while close >> n:
+        if (close >> n) & 1:
+            one, two = cars[pairs[n, 0]], cars[pairs[n, 1]]
+            closing = abs(two.velocity_x - one.velocity_x) + abs(two.velocity_y - one.velocity_y)
+            closing += abs(one.yaw_rate) * settings.radius + abs(two.yaw_rate) * settings.radius
+            room = settings.radius + settings.radius + closing * settings.physics_dt + SLOP
+            dx, dy = two.x - one.x, two.y - one.y
+            if not dx * dx + dy * dy > room * room:
+                return True
+        n += 1
     return False
 
 
 @inner
-def _near(cars, obstacles, course, pairs, settings, out):
+def _near(close, cars, obstacles, course, pairs, settings, out):
     """Write the pairs of bodies that may touch in the control step; return how many.
 
     Bodies are numbered: cars, obstacles, then the walls at x_max, x_min, y_max and y_min. `out` is
-    set to the pairs, int64 (num_pairs, 2).
+    set to the pairs, int64 (num_pairs, 2); `close` has those of cars.
     """
     number, num_cars = 0, len(cars)
     for n in range(len(pairs)):
-        if _may_meet(cars[pairs[n, 0]], cars[pairs[n, 1]], settings):
+        if (close >> n) & 1:
             out[number, 0], out[number, 1] = pairs[n, 0], pairs[n, 1]
             number += 1
     for k in range(len(obstacles)):
