@@ -22,6 +22,8 @@ from league.web.reader import FRESH_S, MOST_WAITING, REST, Reader
 
 MOST = 4096
 """Answers that are kept, of 5 kB as a rule."""
+PACKED = 3
+"""Level of gzip: pages are a tenth larger than at 5, in two thirds of the time."""
 AT_ONCE = MOST_WAITING + 3
 """Threads that make answers: more would only take the processor from each other, and some may wait
 for their turn (`Reader.turn`)."""
@@ -166,7 +168,7 @@ class Answers:
             **{name: response.headers[name] for name in names if name in response.headers},
             "vary": "accept-encoding",
         }
-        packed = gzip.compress(bytes(response.body), 5)
+        packed = gzip.compress(bytes(response.body), PACKED)
         worked_s = time.thread_time() - start_s
         fresh_s = min(max(FRESH_S, REST * worked_s), LASTS_S) if lasting else LASTS_S
         made = _Answer(packed, headers, revision, seen_s, fresh_s)
