@@ -131,7 +131,7 @@ class Answers:
                     return found
                 if going is None:
                     over = self._making[key] = threading.Event()
-                    self._reader.num_making = len(self._making)
+                    self._reader.note(len(self._making))
                     break
             going.wait()
             made = self._kept.get(key)
@@ -144,7 +144,6 @@ class Answers:
             return self._keep(key, make, request, lasting=lasting)
         finally:
             del self._making[key]
-            self._reader.num_making = len(self._making)
             over.set()
 
     def _latest(self) -> int:

@@ -189,7 +189,8 @@ def test_new_races_wait_while_first_answers_are_made(league, monkeypatch):
     pages = Reader(league)
     before = pages.snapshot()
     raced(league, leagues.duels(league, 1, first=500))
-    pages._is_slow, pages._due_s, pages.num_making = True, time.monotonic(), reader.MANY
+    pages._is_slow, pages._due_s = True, time.monotonic()
+    pages.note(reader.MANY)
     assert pages.snapshot() is before
     monkeypatch.setattr(reader, "PATIENCE_S", 0.0)
     assert len(pages.snapshot().races.heat) > len(before.races.heat)
@@ -199,11 +200,11 @@ def test_a_fit_waits_until_the_first_answers_of_a_crowd_are_made(league, monkeyp
     monkeypatch.setattr(reader, "CALM_S", 0.1)
     pages = Reader(league)
     first = pages.snapshot()
-    pages._is_slow, pages._took_s, pages.num_making = True, 0.0, reader.MANY
+    pages._is_slow, pages._took_s, pages._crowded_s = True, 0.0, time.monotonic() + 600
     pages._settle_later(0.0)
     time.sleep(0.5)
     assert pages.snapshot() is first
-    pages.num_making = 0
+    pages._crowded_s = 0.0
     give_up = time.monotonic() + 60
     while pages.snapshot() is first:
         assert time.monotonic() < give_up
