@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
+from league.errors import LeagueError
 from league.matchmaking import history, standings
 from league.matchmaking.ratings.pair_counts import ELO
 from league.matchmaking.ratings.table import expected_score
 from league.matchmaking.scope import RatingScope
 from league.matchmaking.scores import heat_scores, race_scores
 from league.matchmaking.store import Store
-from league.web import answers, reader
+from league.web import answers, reader, server
 from league.web.app import make_app
 from league.web.pages import heats
 from league.web.reader import Reader
@@ -209,6 +210,62 @@ def test_a_fit_waits_until_the_first_answers_of_a_crowd_are_made(league, monkeyp
     while pages.snapshot() is first:
         assert time.monotonic() < give_up
         time.sleep(0.01)
+
+
+def test_likely_pages_are_made_while_nobody_waits(league, making, monkeypatch):
+    may, made = making
+    monkeypatch.setattr(answers, "MOST", 100)
+    for module in (answers, reader):
+        monkeypatch.setattr(module, "FRESH_S", 0.0)
+        monkeypatch.setattr(module, "REST", 0.0)
+    app, give_up = make_app(league), time.monotonic() + 120
+    assert not app.prepare()  # nobody has asked yet, and how the pages are reached is not known
+    with TestClient(app, base_url=ORIGIN) as pages, TestClient(make_app(league)) as anew:
+        assert pages.get("/heats").status_code == 200
+        while app.prepare():
+            assert time.monotonic() < give_up
+        likely = ["/", "/feed.atom", "/heats", "/standings", "/standings?sort=wins"]
+        assert {address.partition("?")[0] for address in likely} <= {*made}
+        assert not {"/live", "/submit", "/drivers/{number:number}"} & {*made}
+        made.clear()
+        prepared = {address: pages.get(address).text for address in likely}
+        assert not made
+        anew.base_url = ORIGIN
+        assert prepared == {address: anew.get(address).text for address in likely}
+        raced(league, leagues.duels(league, 1, first=500))
+        made.clear()
+        while not app.prepare():  # until nothing is made again
+            assert time.monotonic() < give_up
+        refused = {"/tracks", "/ghosts", "/time-attack"}  # the league's track does not exist
+        assert len({*made} - refused) == 1
+        may.clear()
+        waiting = threading.Thread(target=pages.get, args=("/drivers/1",))
+        waiting.start()
+        while "/drivers/{number:number}" not in made:
+            assert time.monotonic() < give_up
+        assert not app.prepare()
+        may.set()
+        waiting.join(60)
+
+
+def test_a_server_prepares_pages_until_it_is_over(monkeypatch):
+    done: list[str] = []
+
+    class Prepared:
+        def warm(self) -> None:
+            done.append("warm")
+
+        def prepare(self) -> bool:
+            done.append("page")
+            if len(done) == 2:
+                raise LeagueError("the database fails now")
+            over.set()
+            return True
+
+    monkeypatch.setattr(server, "LOOKS_S", 0.01)
+    over = threading.Event()
+    server.prepare(Prepared(), over)
+    assert done == ["warm", "page", "page"]
 
 
 def test_heats_are_counted_by_one_request_at_a_time(league, monkeypatch):
