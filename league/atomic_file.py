@@ -18,13 +18,8 @@ def replacing(
 ) -> Generator[Path]:
     """Yield a temporary file to write; it takes the name `path` when the block succeeds.
 
-    Folders are made as needed. After an error the earlier file stays.
-
-    Args:
-        path: of the file.
-        what: what is written, for the error's sentence.
-        error: raised when the file system, or a library that writes, refuses.
-        also: such errors of libraries, besides OSError.
+    Folders are made as needed; after an error the earlier file stays. `error` says that `what`
+    cannot be written if the file system refuses, or a library, by one of the errors in `also`.
     """
     path = Path(path)
     temporary = path.parent / f".{path.name[:80]}.{os.urandom(6).hex()}"
