@@ -25,8 +25,8 @@ CONNECTIONS = 500
 TURN_S = 0.0005
 """A thread that others wait for runs so long [s]."""
 LOOKS_S, MOST, REST = 1.0, 64, 24.0
-"""So often [s] it looks whether pages should be made before they are asked for, and makes so many of
-them at most; then it rests so many times as long as they took: for a 25th of a processor."""
+"""So often [s] it looks whether likely pages should be made before they are asked for, at most so
+many; then it rests so many times as long as they took: for a 25th of a processor."""
 WILDCARDS = ("0.0.0.0", "::", "")
 """Addresses that stand for all addresses of a machine."""
 
