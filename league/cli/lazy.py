@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from league.matchmaking.ratings import sprt
     from league.matchmaking.workers import dispatcher, worker
     from league.racing import evaluate, race, trace
-    from league.replay import commentary, format
+    from league.replay import broadcast, format
     from league.track import files, generate, importer, markings, track
     from league.training import run
     from league.training.monitor import dashboard, sinks
@@ -42,7 +42,7 @@ _PACKAGES = {
     ".matchmaking.ratings": "sprt",
     ".matchmaking.workers": "dispatcher worker",
     ".racing": "evaluate race trace",
-    ".replay": "commentary format",
+    ".replay": "broadcast format",
     ".track": "files generate importer markings track",
     ".training": "run",
     ".training.monitor": "dashboard sinks",

@@ -159,8 +159,8 @@ def _print_result(command: Race, finished: FinishedRace, replay: Path | None) ->
         return
     _print_classification(result)
     if finished.replay is not None and len(result.order) > 1:
-        for line in lazy.commentary.shortened(
-            lazy.commentary.of_replay(finished.replay), STORY_LINES
+        for line in lazy.broadcast.shortened(
+            lazy.broadcast.of_replay(finished.replay), STORY_LINES
         ):
             print(textwrap.fill(line.stamped, tables.console().width, subsequent_indent="    "))
     if replay is not None:

@@ -100,7 +100,7 @@ class LiveView(TrainingCallback):
 
     def __init__(self, *envs: RacingVecEnv, window: bool | None = None) -> None:
         """Open the viewer, in a window where there is a display, and watch a learner's worlds."""
-        from league.rerun_view import blueprint
+        from league.rerun_view import layout
         from league.rerun_view.live import ShownCars, TrainingStream
         from league.rerun_view.viewer import Stream
 
@@ -108,8 +108,8 @@ class LiveView(TrainingCallback):
         world, sim = first.race_env.world, first.cfg.sim
         shown = ShownCars.of(world)
         track = first.race_env.tracks.tracks[int(world.track[shown.worlds[0]])]
-        layout = blueprint.training(len(shown.names), track.room)
-        self._stream: Stream | None = Stream(layout, window=window)
+        views = layout.training(len(shown.names), track.room)
+        self._stream: Stream | None = Stream(views, window=window)
         self.address = self._stream.address  # Where it can be watched.
         recording, bots = self._stream.recording, sim.obstacles.kind == "bot"
         self._cars = TrainingStream(recording, track, shown, step_hz=sim.step_hz, bots=bots)
@@ -118,23 +118,23 @@ class LiveView(TrainingCallback):
 
     def update(self, history: TrainingHistory, update: Update) -> None:
         """Add an update to the charts; stop watching if the viewer has been closed."""
-        from league.rerun_view import paths
+        from league.rerun_view import layout
 
         if self._stream is not None and not self._stream.is_open:
             self.close()
         if self._stream is not None:
             row = history.updates[-1]
-            self._cars.add_metric(paths.PLOT_REWARD, row.earned)
-            self._cars.add_metric(paths.PLOT_TRAINING, row.completion)
+            self._cars.add_metric(layout.PLOT_REWARD, row.earned)
+            self._cars.add_metric(layout.PLOT_TRAINING, row.completion)
 
     def evaluated(self, history: TrainingHistory, evaluation: Evaluation) -> None:
         """Add an evaluation to the chart and to the list."""
-        from league.rerun_view import paths
+        from league.rerun_view import layout
 
         if self._stream is None or not self._stream.is_open:
             return
         row = history.evaluations[-1]
-        self._cars.add_metric(paths.PLOT_EVALUATION, row.completion)
+        self._cars.add_metric(layout.PLOT_EVALUATION, row.completion)
         lap = "" if row.best_lap_s is None else f", best lap {seconds(row.best_lap_s)}"
         star = " ★" if row.best else ""
         self._cars.add_event(

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import torch
 
-from league.agents.driver import Driver
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig, Scenarios
+from league.envs.driver import Driver
 from league.envs.rewards import Reward
 from league.errors import ConfigError, brief
 from league.sim.config import (

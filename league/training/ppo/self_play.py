@@ -17,8 +17,8 @@ import torch
 from tensordict import TensorDict
 
 from league.agents import roster
-from league.agents.driver import Driver
 from league.envs.actions import to_actions
+from league.envs.driver import Driver
 from league.envs.race_env import RaceEnv
 from league.envs.rewards import PRESETS, Reward
 from league.sim.config import SensorConfig
