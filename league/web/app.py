@@ -7,7 +7,7 @@ import gzip
 import hashlib
 import json
 import re
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from http import HTTPStatus
 from importlib import resources
@@ -22,7 +22,7 @@ from starlette.middleware.gzip import GZipMiddleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
-from starlette.routing import Route
+from starlette.routing import Match, Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from league import times
@@ -31,10 +31,10 @@ from league.matchmaking import safety
 from league.matchmaking.documents import plain
 from league.matchmaking.store import Store
 from league.web import charts, openapi, rendering, token_api
-from league.web.answers import Answers
+from league.web.answers import Answers, Endpoint
 from league.web.downloads import DOWNLOADS
 from league.web.reader import Document, NotFoundError, Reader
-from league.web.routes import PAGES, Page
+from league.web.routes import PAGES, Page, likely
 from league.web.security import Access
 
 HEADERS = {
@@ -151,7 +151,22 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
                 with contextlib.suppress(LeagueError):
                     one.document(reader, **dict.fromkeys(one.query, ""))
 
-    return App(app, warm)
+    def prepare() -> bool:
+        return answers.last is not None and answers.prepare(
+            _asked(address, routes, answers.last) for address in likely(reader)
+        )
+
+    return App(app, warm, prepare)
+
+
+def _asked(address: str, routes: Sequence[Route], like: Request) -> tuple[Endpoint, Request]:
+    """Return the endpoint of an address, and a request for it as from a visitor who made one."""
+    path, _, query = address.partition("?")
+    names = {"path": path, "raw_path": path.encode(), "query_string": query.encode()}
+    scope = {**like.scope, **names, "path_params": {}, "client": None}
+    matches = ((route.endpoint, route.matches(scope)) for route in routes)
+    endpoint, found = next((one, more) for one, (match, more) in matches if match is Match.FULL)
+    return endpoint, Request({**scope, **found})
 
 
 def _status(error: Exception) -> tuple[int, str]:
@@ -220,10 +235,12 @@ class App:
     """The application; adds `HEADERS` to every response, errors included, that has none of its own.
 
     `warm` makes what the first visitors would wait for: templates, boards, bounds of tracks.
+    `prepare` makes one page that the next visitor is likely to ask for, unless a visitor waits for
+    one; it returns whether there was one to make.
     """
 
-    def __init__(self, app: ASGIApp, warm: Callable[[], None]) -> None:
-        self._app, self.warm = app, warm
+    def __init__(self, app: ASGIApp, warm: Callable[[], None], prepare: Callable[[], bool]) -> None:
+        self._app, self.warm, self.prepare = app, warm, prepare
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, as ASGI has it."""

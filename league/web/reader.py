@@ -31,8 +31,9 @@ QUICK_S = 0.1
 """A snapshot that takes more of a processor than this [s] is taken by a thread of its own; until
 then new races are added to the last one."""
 MANY, PATIENCE_S = 3, 4.0
-"""While so many first answers are made, a snapshot that takes long is brought up to date so much
-later [s]: the requests that wait for them have more of the processor."""
+"""While so many first answers are made, or were a moment ago (`FRESH_S`), a snapshot that takes
+long is brought up to date so much later [s]: the requests that wait for them have more of the
+processor."""
 CALM_S, CALM_MOST_S, LOOKS_S = 2.0, 20.0, 0.05
 """A fit begins when for so long [s] fewer were being made, so much later [s] at the latest; it
 looks so often [s]. It takes seconds of a processor, which a crowd's first answers need more."""
@@ -75,8 +76,7 @@ class Reader:
         self._snapshot: Snapshot | None = None
         self._is_slow, self._due_s = False, 0.0
         self._taken_s, self._took_s = 0.0, 0.0
-        self.num_making = 0
-        """Answers that are being made, which requests wait for; set by `Answers`."""
+        self._crowded_s = float("-inf")
         self._counting = threading.Lock()
         self._counts: tuple[int, dict[HeatState, int]] | None = None
         self._counts_due_s = 0.0
@@ -91,9 +91,9 @@ class Reader:
         `snapshot.updated`, and a thread settles what follows from them. Where not even that is
         possible, or another request does it just now, an older one is returned.
         """
-        now = self._snapshot
-        later_s = PATIENCE_S if self._is_slow and self.num_making >= MANY else 0.0
-        if now is not None and time.monotonic() < self._due_s + later_s:
+        now, now_s = self._snapshot, time.monotonic()
+        crowded = self._is_slow and now_s < self._crowded_s + FRESH_S
+        if now is not None and now_s < self._due_s + (PATIENCE_S if crowded else 0.0):
             return now
         if self._taking.acquire(blocking=now is None or not self._is_slow):
             try:
@@ -103,6 +103,11 @@ class Reader:
                 self._taking.release()
         assert self._snapshot is not None
         return self._snapshot
+
+    def note(self, num_making: int) -> None:
+        """Hear how many answers are being made, which requests wait for."""
+        if num_making >= MANY:
+            self._crowded_s = time.monotonic()
 
     def _renew(self) -> None:
         """Bring the snapshot up to date, and decide when it is looked at again."""
@@ -151,10 +156,8 @@ class Reader:
             self._settling.release()
 
     def _wait_for_calm(self) -> None:
-        start_s = crowded_s = time.monotonic()
-        while (now_s := time.monotonic()) < min(crowded_s + CALM_S, start_s + CALM_MOST_S):
-            if self.num_making >= MANY:
-                crowded_s = now_s
+        start_s = time.monotonic()
+        while time.monotonic() < min(max(start_s, self._crowded_s) + CALM_S, start_s + CALM_MOST_S):
             time.sleep(LOOKS_S)
 
     def standings_of(self, track: str, cars: int) -> Standings | None:

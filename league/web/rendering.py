@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Any, cast
+from typing import Any
 
 import jinja2
 from jinja2 import nodes
@@ -12,6 +12,7 @@ from markupsafe import Markup, escape
 
 METHODS = frozenset(dir(dict))
 """Names that mean a mapping's method, even where it has such a key."""
+_NONE = object()
 _special = re.compile("[&<>'\"]").search
 
 
@@ -27,7 +28,7 @@ def environment() -> jinja2.Environment:
     )
 
 
-def shown(value: object) -> str:
+def shown(value: Any) -> str:  # noqa: ANN401
     """Return a value as HTML.
 
     The same as `markupsafe.escape`, in half of the time for numbers and plain words, which are
@@ -35,10 +36,10 @@ def shown(value: object) -> str:
     """
     kind = type(value)
     if kind is str:
-        return escape(value) if _special(cast(str, value)) else cast(str, value)
+        return escape(value) if _special(value) else value
     if kind is int or kind is float:
         return str(value)
-    return cast(Markup, value) if kind is Markup else escape(value)
+    return value if kind is Markup else escape(value)
 
 
 class _Output(CodeGenerator):
@@ -56,6 +57,9 @@ class _Environment(jinja2.Environment):
 
     def getattr(self, obj: Any, attribute: str) -> Any:  # noqa: ANN401
         """Return an attribute, or an item; of most values of pages, which are dicts, an item."""
-        if type(obj) is dict and attribute in obj and attribute not in METHODS:
-            return obj[attribute]
+        if type(obj) is dict:
+            if attribute in obj and attribute not in METHODS:
+                return obj[attribute]
+        elif (found := getattr(obj, attribute, _NONE)) is not _NONE:
+            return found
         return super().getattr(obj, attribute)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,7 +11,7 @@ from starlette.convertors import IntegerConvertor, register_url_convertor
 from starlette.requests import Request
 
 from league.web.pages import driver, heats, laps, seasons, table
-from league.web.reader import Document, Reader
+from league.web.reader import PER_PAGE, Document, Reader
 from league.web.schemas import pages as schemas
 from league.web.schemas import races
 
@@ -22,6 +23,8 @@ class _Number(IntegerConvertor):
 
 
 register_url_convertor("number", _Number())
+LISTED = 10
+"""Pages of each long list that visitors are likely to turn to."""
 
 
 @dataclass(frozen=True)
@@ -139,3 +142,15 @@ PAGES = (
          answer=schemas.LiveAnswer),
 )  # fmt: skip
 """All pages, and data without a page."""
+
+
+def likely(reader: Reader) -> Iterator[str]:
+    """Yield the addresses of pages that visitors are likely to ask for: the lists, as they are."""
+    for one in PAGES:
+        if one.template and one.shared and not one.fleeting and "{" not in one.path:
+            yield one.path
+    lengths = {table.PATH: len(reader.snapshot().rows), "/heats": reader.counts().get("done", 0)}
+    for path, lines in lengths.items():
+        last = min(LISTED, math.ceil(lines / PER_PAGE))
+        yield from (f"{path}?page={page}" for page in range(2, last + 1))
+    yield from (f"{table.PATH}?sort={name}" for name in filter(None, table.ORDERS))

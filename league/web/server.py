@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import replace
 
 import uvicorn
 
-from league.errors import ConfigError, explaining
+from league.errors import ConfigError, LeagueError, explaining
 from league.matchmaking.store import Store
-from league.web.app import make_app
+from league.web.app import App, make_app
 from league.web.security import Access
 
 HOST = "127.0.0.1"
@@ -22,6 +24,9 @@ CONNECTIONS = 500
 """Connections at the same time; more are answered 503."""
 TURN_S = 0.0005
 """A thread that others wait for runs so long [s]."""
+LOOKS_S, MOST, REST = 1.0, 64, 24.0
+"""So often [s] it looks whether likely pages should be made before they are asked for, at most so
+many; then it rests so many times as long as they took: for a 25th of a processor."""
 WILDCARDS = ("0.0.0.0", "::", "")
 """Addresses that stand for all addresses of a machine."""
 
@@ -64,7 +69,8 @@ def serve(
         ready(f"http://{shown}:{listener.getsockname()[1]}/")
         # Uvicorn takes a client's address from X-Forwarded-For only if a proxy here sends it.
         app = make_app(store, access=access)
-        threading.Thread(target=app.warm, daemon=True).start()
+        over = threading.Event()
+        threading.Thread(target=prepare, args=(app, over), daemon=True).start()
         config = uvicorn.Config(
             app,
             log_level="warning",
@@ -72,8 +78,24 @@ def serve(
             lifespan="off",
             limit_concurrency=CONNECTIONS,
         )
-        with _settings_of_a_server():
-            uvicorn.Server(config).run(sockets=[listener])
+        try:
+            with _settings_of_a_server():
+                uvicorn.Server(config).run(sockets=[listener])
+        finally:
+            over.set()
+
+
+def prepare(app: App, over: threading.Event) -> None:
+    """Make what visitors are likely to ask for while none of them waits, until it is `over`."""
+    app.warm()
+    worked_s = 0.0
+    while not over.wait(max(LOOKS_S, REST * worked_s)):
+        start_s = time.thread_time()
+        with contextlib.suppress(LeagueError):  # the next look tries again
+            for _ in range(MOST):
+                if over.is_set() or not app.prepare():
+                    break
+        worked_s = time.thread_time() - start_s
 
 
 @contextmanager

@@ -145,11 +145,13 @@ class Snapshot:
             kept &= counted.track == rules.tracks.index(track)
         if cars:
             kept &= (counted.entries >= 0).sum(axis=1) == cars
-        whole = kept.all()
-        races = counted if whole else counted.where(kept)
+        if kept.all():
+            if self.rated and not self._carries and self.rated.ratings.races.all():
+                return self.rated
+            races = counted
+        else:
+            races = counted.where(kept)
         numbers = set(np.unique(races.entries).tolist())
-        if self.rated and whole and not self._carries and numbers - {-1} == self.rows.keys():
-            return self.rated
         entries = [entry for entry in self.entries if entry.number in numbers]
         within, near = RatingScope(races, self.season, None), self.rated and self.rated.ratings
         return standings.table(entries, within, rules.hash, rules.tracks, near=near)

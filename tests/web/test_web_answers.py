@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
+from league.errors import LeagueError
 from league.matchmaking import scores, standings
 from league.matchmaking.ratings.pair_counts import ELO
 from league.matchmaking.ratings.table import expected_score
 from league.matchmaking.scope import RatingScope
 from league.matchmaking.scores import heat_scores, race_scores
 from league.matchmaking.store import Store
-from league.web import answers, reader
+from league.web import answers, reader, server
 from league.web.app import make_app
 from league.web.pages import heats
 from league.web.reader import Reader
@@ -189,7 +190,8 @@ def test_new_races_wait_while_first_answers_are_made(league, monkeypatch):
     pages = Reader(league)
     before = pages.snapshot()
     raced(league, leagues.duels(league, 1, first=500))
-    pages._is_slow, pages._due_s, pages.num_making = True, time.monotonic(), reader.MANY
+    pages._is_slow, pages._due_s = True, time.monotonic()
+    pages.note(reader.MANY)
     assert pages.snapshot() is before
     monkeypatch.setattr(reader, "PATIENCE_S", 0.0)
     assert len(pages.snapshot().races.heat) > len(before.races.heat)
@@ -199,15 +201,71 @@ def test_a_fit_waits_until_the_first_answers_of_a_crowd_are_made(league, monkeyp
     monkeypatch.setattr(reader, "CALM_S", 0.1)
     pages = Reader(league)
     first = pages.snapshot()
-    pages._is_slow, pages._took_s, pages.num_making = True, 0.0, reader.MANY
+    pages._is_slow, pages._took_s, pages._crowded_s = True, 0.0, time.monotonic() + 600
     pages._settle_later(0.0)
     time.sleep(0.5)
     assert pages.snapshot() is first
-    pages.num_making = 0
+    pages._crowded_s = 0.0
     give_up = time.monotonic() + 60
     while pages.snapshot() is first:
         assert time.monotonic() < give_up
         time.sleep(0.01)
+
+
+def test_likely_pages_are_made_while_nobody_waits(league, making, monkeypatch):
+    may, made = making
+    monkeypatch.setattr(answers, "MOST", 100)
+    for module in (answers, reader):
+        monkeypatch.setattr(module, "FRESH_S", 0.0)
+        monkeypatch.setattr(module, "REST", 0.0)
+    app, give_up = make_app(league), time.monotonic() + 120
+    assert not app.prepare()  # nobody has asked yet, and how the pages are reached is not known
+    with TestClient(app, base_url=ORIGIN) as pages, TestClient(make_app(league)) as anew:
+        assert pages.get("/heats").status_code == 200
+        while app.prepare():
+            assert time.monotonic() < give_up
+        likely = ["/", "/feed.atom", "/heats", "/standings", "/standings?sort=wins"]
+        assert {address.partition("?")[0] for address in likely} <= {*made}
+        assert not {"/live", "/submit", "/drivers/{number:number}"} & {*made}
+        made.clear()
+        prepared = {address: pages.get(address).text for address in likely}
+        assert not made
+        anew.base_url = ORIGIN
+        assert prepared == {address: anew.get(address).text for address in likely}
+        raced(league, leagues.duels(league, 1, first=500))
+        made.clear()
+        while not app.prepare():  # until nothing is made again
+            assert time.monotonic() < give_up
+        refused = {"/tracks", "/ghosts", "/time-attack"}  # the league's track does not exist
+        assert len({*made} - refused) == 1
+        may.clear()
+        waiting = threading.Thread(target=pages.get, args=("/drivers/1",))
+        waiting.start()
+        while "/drivers/{number:number}" not in made:
+            assert time.monotonic() < give_up
+        assert not app.prepare()
+        may.set()
+        waiting.join(60)
+
+
+def test_a_server_prepares_pages_until_it_is_over(monkeypatch):
+    done: list[str] = []
+
+    class Prepared:
+        def warm(self) -> None:
+            done.append("warm")
+
+        def prepare(self) -> bool:
+            done.append("page")
+            if len(done) == 2:
+                raise LeagueError("the database fails now")
+            over.set()
+            return True
+
+    monkeypatch.setattr(server, "LOOKS_S", 0.01)
+    over = threading.Event()
+    server.prepare(Prepared(), over)
+    assert done == ["warm", "page", "page"]
 
 
 def test_heats_are_counted_by_one_request_at_a_time(league, monkeypatch):
