@@ -50,14 +50,18 @@ torchrl: sync
 
 sync: .venv/.installed
 
-# To bytecode is compiled what training imports, beside the simulator: pip would compile all of the
-# libraries, one after the other, which takes half a minute.
+# What the simulator is compiled with comes first: it is compiled on one core while pip works on another.
+# pip is renewed because that of Python 3.11 takes twice as long. To bytecode is compiled what training
+# imports: pip would compile all of the libraries, one after the other, which takes half a minute.
+PIP := $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt
 .venv/.installed: pyproject.toml constraints.txt
 	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info[:2] < (3, 11))' \
 		|| { echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3.11"; exit 1; }
 	test -x $(BIN)/python || "$(PYTHON)" -m venv .venv
-	$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable ".[dev]"
-	$(BIN)/python -c "import league.training.run" & $(BIN)/python -m league.precompile && wait
+	$(PIP) --upgrade pip
+	$(PIP) av gymnasium numba opencv-python-headless pybullet pydantic pyyaml scipy
+	$(BIN)/python -m league.precompile & compiling=$$!; \
+		$(PIP) --editable ".[dev]" && $(BIN)/python -c "import league.training.run" && wait $$compiling
 	touch $@
 
 format: sync
@@ -75,7 +79,7 @@ bench: sync
 # Half an hour: how many small faults the tests catch, into docs/benchmarks.md. Parts by name:
 # python -m benchmarks.mutants referee store
 mutants: sync
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dev,mutants]"
+	$(PIP) --editable ".[dev,mutants]"
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks --write mutants
 
 clean:

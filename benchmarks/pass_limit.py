@@ -14,8 +14,8 @@ import numpy as np
 
 from benchmarks.report import heading, note, table
 from league.agents import roster
-from league.agents.driver import Driver
 from league.agents.rollout import DriverPool
+from league.envs.driver import Driver
 from league.racing import duels
 from league.racing.duels import DuelConfig
 from league.sim.config import CarConfig

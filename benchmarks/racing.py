@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.lap_bound import lap_bound
 from benchmarks.report import figure, heading, note, table
 from league.agents import roster
-from league.agents.driver import Driver
+from league.envs.driver import Driver
 from league.racing import duels
 from league.racing.duels import RESOLUTION, DuelConfig, Threshold
 from league.racing.evaluate import evaluate
@@ -90,7 +90,8 @@ def _show(found: Threshold) -> None:
     )
     for pace, one in found.duels.items():
         rates = (f"{share:.2f}" for share in (one.passed, one.clean, one.held))
-        per_km = (f"{rate:.1f}" for rate in (one.contacts_per_km, one.hard_contacts_per_km))
+        near_km = max(one.near_km, 1e-9)
+        per_km = (f"{rate:.1f}" for rate in (one.contacts / near_km, one.hard_contacts / near_km))
         row(f"{pace:.3f}", *rates, *per_km, one.off_tracks)
 
 

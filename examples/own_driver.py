@@ -6,7 +6,7 @@ Run it: python examples/own_driver.py
 import numpy as np
 
 from league.agents import roster
-from league.agents.driver import actions_from
+from league.envs.actions import encode
 from league.envs.state import INDEX
 from league.race_spec import Entry, RaceSpec
 from league.racing import race
@@ -32,7 +32,7 @@ class Weaver:
         curvature_wanted = curvature - 1.5 * lateral - 2.5 * heading_error
         steering = np.arctan(CarConfig().wheelbase * curvature_wanted)
         speed = 2.2 - 0.8 * np.minimum(np.abs(curvature), 1.5)
-        return actions_from(steering, speed, CarConfig())
+        return encode(steering, speed, CarConfig())
 
 
 def main() -> None:

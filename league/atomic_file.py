@@ -1,4 +1,4 @@
-"""Atomic writes: a file appears whole, or not at all."""
+"""Files: written so that they appear whole or not at all, and read up to a limit."""
 
 import os
 from collections.abc import Generator
@@ -18,13 +18,8 @@ def replacing(
 ) -> Generator[Path]:
     """Yield a temporary file to write; it takes the name `path` when the block succeeds.
 
-    Folders are made as needed. After an error the earlier file stays.
-
-    Args:
-        path: of the file.
-        what: what is written, for the error's sentence.
-        error: raised when the file system, or a library that writes, refuses.
-        also: such errors of libraries, besides OSError.
+    Folders are made as needed; after an error the earlier file stays. `error` says that `what`
+    cannot be written if the file system refuses, or a library, by one of the errors in `also`.
     """
     path = Path(path)
     temporary = path.parent / f".{path.name[:80]}.{os.urandom(6).hex()}"
@@ -40,6 +35,22 @@ def replacing(
     finally:
         with suppress(OSError):  # it has its new name, or was never made
             temporary.unlink()
+
+
+def read_plain(
+    path: str | os.PathLike[str], most: int, error: type[LeagueError], what: str
+) -> bytes:
+    """Return the bytes of a file, which is `what`, such as "a replay"; of at most `most` bytes."""
+    remedy = f"give the path of {what}"
+    with explaining(f"{path} cannot be read", error, remedy, ValueError):
+        # Looked at before it is opened: opening a pipe would wait for ever.
+        if os.path.exists(path) and not os.path.isfile(path):
+            raise error(f"{path} is not a file: {remedy}")
+        with open(path, "rb") as file:
+            content = file.read(most + 1)
+        if len(content) > most:
+            raise error(f"{path} is larger than {most:,} bytes: {remedy}")
+        return content
 
 
 def check_writable(path: Path, what: str, error: type[LeagueError]) -> None:

@@ -76,10 +76,7 @@ def nearest_names(name: str, known: list[str]) -> str:
 
 
 def first_problem(error: ValidationError, whole: str) -> tuple[ErrorDetails, str, str]:
-    """Return the first thing that pydantic found, which field that is, and the reason.
-
-    `whole` is the field's place where the fault lies in no field.
-    """
+    """Return the first thing that pydantic found, in which field (or `whole`), and the reason."""
     first = error.errors(include_url=False)[0]
     where = ".".join(str(part)[:40] for part in first["loc"]) or whole
     return first, where, first["msg"].removeprefix("Value error, ").replace("\n", " ")[:200]

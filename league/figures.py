@@ -12,18 +12,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INK, GRID = "#1d2733", "#e0e4e8"
-"""Colours of text, of less important text, and of grid lines."""
+INK, GRID = "#1d2733", "#e0e4e8"  # Colours of text, and of grid lines.
 
 
 def figure(width: float, height: float) -> Figure:
     """Return an empty white figure of this size [inches]."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    empty = Figure(figsize=(width, height), layout="constrained", facecolor="white")
-    FigureCanvasAgg(empty)
-    return empty
+    return Figure(figsize=(width, height), layout="constrained", facecolor="white")
 
 
 def strip(axes: Axes, *, keep: tuple[str, ...] = ()) -> None:

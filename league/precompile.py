@@ -12,7 +12,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -36,7 +36,7 @@ def ensure() -> None:
     _show(0, began)
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
 
-        def compile_group(parts: tuple[str, ...]) -> None:
+        def compile_group(parts: Iterable[str]) -> None:
             for part in _compiled(parts):
                 with one_at_a_time:
                     done.append(part)
@@ -53,7 +53,7 @@ def ensure() -> None:
     _remove_older(folder)
 
 
-def _compiled(parts: tuple[str, ...]) -> Iterator[str]:
+def _compiled(parts: Iterable[str]) -> Iterator[str]:
     """Compile parts in a process of their own (Numba is serial); yield each when it is done."""
     with (
         tempfile.TemporaryFile("w+") as errors,
@@ -214,19 +214,16 @@ def _world():  # noqa: ANN202
     return records.World(np.zeros(1, records.WORLD), cars, obstacles)
 
 
-GROUPS = (
-    ("worlds", "bullet", "reward_functions"),
-    ("scripted", "cameras", "sensors", "policies", "videos", "places"),
+GROUPS: tuple[dict[str, Callable[[], None]], ...] = (
+    {"worlds": _worlds, "bullet": _bullet, "reward_functions": _reward_functions},
+    {
+        **{"scripted": _scripted, "cameras": _cameras, "sensors": _sensors},
+        **{"policies": _policies, "videos": _videos, "places": _places},
+    },
 )
 """Parts that one process compiles, each half of the work. Those that need a whole simulator are in
 the first group, and nothing of the second calls what they compile, so neither does work twice."""
-PARTS: dict[str, Callable[[], None]] = {
-    part.__name__.removeprefix("_"): part
-    for part in (
-        *(_worlds, _sensors, _scripted, _cameras, _videos, _policies, _places),
-        *(_bullet, _reward_functions),
-    )
-}
+PARTS = {name: part for group in GROUPS for name, part in group.items()}
 
 
 def _main() -> None:

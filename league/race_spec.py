@@ -7,14 +7,7 @@ reason.
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    ValidationError,
-    model_validator,
-)
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from league import times
 from league.errors import ConfigError, brief, first_problem
@@ -28,23 +21,10 @@ from league.sim.config import (
 )
 
 EventKind = Literal[
-    "start",
-    "lap",
-    "finish",
-    "off_track",
-    "crash",
-    "contact",
-    "touch",
-    "forced_off",
-    "obstacle_contact",
-    "wall_contact",
-    "immobilised",
-    "reversed",
-    "put_back",
-    "overtake",
-    "lead_change",
-    "driver_fault",
-]
+    "start", "lap", "finish", "off_track", "crash", "contact", "touch", "forced_off",
+    "obstacle_contact", "wall_contact", "immobilised", "reversed", "put_back", "overtake",
+    "lead_change", "driver_fault",
+]  # fmt: skip
 
 
 class FrozenModel(BaseModel):
@@ -67,10 +47,8 @@ Name = Annotated[str, AfterValidator(printable)]
 class Entry(FrozenModel):
     """The driver of one car."""
 
-    # name of a scripted driver, or the label of a checkpoint
-    name: Name = Field(min_length=1, max_length=200)
-    # SHA-256 of the checkpoint; empty for scripted drivers
-    digest: str = Field(default="", max_length=64)
+    name: Name = Field(min_length=1, max_length=200)  # of a scripted driver, or a label
+    digest: str = Field(default="", max_length=64)  # SHA-256 of the checkpoint; none of a script
     # where the checkpoint was when the race was asked for; empty for scripted drivers
     path: str = Field(default="", max_length=1000, pattern=r"^(|.*\.pt)$")
 
@@ -87,8 +65,7 @@ class RaceSpec(FrozenModel):
     ranking: Literal["total", "best", "average"] = "total"
     # how many consecutive laps a mean is of, or all where fewer are raced
     average_laps: int = Field(default=2, ge=1, le=1000)
-    # which rules: those of this league, or the original's, under which older races were driven
-    rules: RulesName = "league"
+    rules: RulesName = "league"  # this league's, or the original's, which older races had
     entries: tuple[Entry, ...] = Field(min_length=1, max_length=8)  # the field, in grid order
     # How the cars line up: standing, in the order of a race's organiser; qualifying, the fastest
     # first; reverse, the fastest last; pursuit, spread evenly round the lap. `entries` are in the
@@ -96,20 +73,14 @@ class RaceSpec(FrozenModel):
     format: RaceFormat = "standing"
     # boxes or bots; by default six in obstacle avoidance, and none in the other kinds
     obstacles: int = Field(default=0, ge=0, le=MAX_OBSTACLES)
-    # standing boxes, or slow bot cars that change lanes
-    obstacle_kind: Literal["box", "bot"] = "box"
-    # obstacles at random places for each seed; otherwise evenly spaced
-    random_obstacles: bool = True
-    # seconds frozen after leaving the road
-    off_track_penalty_s: float = Field(default=2.0, ge=0, le=600)
-    # seconds frozen after the hardest contact to blame for
-    crash_penalty_s: float = Field(default=5.0, ge=0, le=600)
-    # the race is stopped after this time [s]; 0 chooses by length
-    max_time_s: float = Field(default=0.0, ge=0, le=36_000)
+    obstacle_kind: Literal["box", "bot"] = "box"  # boxes, or slow bot cars that change lanes
+    random_obstacles: bool = True  # at random places for each seed; otherwise evenly spaced
+    off_track_penalty_s: float = Field(default=2.0, ge=0, le=600)  # frozen after leaving the road
+    crash_penalty_s: float = Field(default=5.0, ge=0, le=600)  # after the hardest contact by fault
+    max_time_s: float = Field(default=0.0, ge=0, le=36_000)  # longest race [s]; 0: by length
     # how much cars of one kind differ, drawn from the seed; 0: not at all, 1: as in a league
     variation: float = Field(default=0.0, ge=0, le=10)
-    # largest speed at the start [m/s], drawn from the seed; 0: cars start at rest
-    start_speed: float = Field(default=0.0, ge=0, le=12)
+    start_speed: float = Field(default=0.0, ge=0, le=12)  # most at the start [m/s], by the seed
 
     @property
     def title(self) -> str:
@@ -119,12 +90,8 @@ class RaceSpec(FrozenModel):
     @model_validator(mode="before")
     @classmethod
     def _with_usual_obstacles(cls, settings: object) -> object:
-        match settings:
-            case {"obstacles": _}:
-                return settings
-            case {"kind": "obstacle_avoidance", **others}:
-                usual = {"kind": "obstacle_avoidance", "obstacles": USUAL_OBSTACLES}
-                return {**others, **usual}
+        if isinstance(settings, dict) and settings.get("kind") == "obstacle_avoidance":
+            return {"obstacles": USUAL_OBSTACLES, **settings}
         return settings
 
 

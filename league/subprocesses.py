@@ -19,8 +19,7 @@ from multiprocessing.process import BaseProcess
 
 from league.errors import ConfigError
 
-SERVER_STARTS = 5
-"""Starts of the server for one process before its death counts as this machine's fault."""
+SERVER_STARTS = 5  # Starts of the server for one process before this machine is at fault.
 
 _SERVED = sys.platform == "linux"
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
@@ -62,9 +61,8 @@ def _run(target: Callable[..., None], *arguments: object) -> None:
 def settle() -> None:
     """Let this new process ignore Ctrl-C, and end with the one that started it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if _SERVED:
-        # Without the server this process could be neither observed nor ended.
-        die_with_parent()
+    # Without the server this process could be neither observed nor ended.
+    die_with_parent()
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
@@ -88,17 +86,24 @@ def _end_with_parent() -> None:
 def _begin(process: BaseProcess) -> None:
     if _SERVED:
         _ensure_server()
+    with sigint_blocked():
         process.start()
-    else:
-        with sigint_blocked():
-            process.start()
 
 
 def _ensure_server() -> None:
+    """Start the server without the working folder among the places that modules come from."""
     from multiprocessing import forkserver
 
-    with sigint_blocked(), _safe_path():
-        forkserver.ensure_running()
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        with sigint_blocked():
+            forkserver.ensure_running()
+    finally:
+        if before is None:
+            del os.environ["PYTHONSAFEPATH"]
+        else:
+            os.environ["PYTHONSAFEPATH"] = before
 
 
 @contextlib.contextmanager
@@ -128,14 +133,12 @@ def sigint_blocked() -> Generator[None]:
 
 
 @contextlib.contextmanager
-def _safe_path() -> Generator[None]:
-    """Start Python without the working folder among the places that modules come from."""
-    before = os.environ.get("PYTHONSAFEPATH")
-    os.environ["PYTHONSAFEPATH"] = "1"
+def handling(handler: Callable[[int, object], None], *numbers: int) -> Generator[None]:
+    """Have signals handled by a function; only the main thread receives any."""
+    receives = threading.current_thread() is threading.main_thread()
+    before = {number: signal.signal(number, handler) for number in numbers if receives}
     try:
         yield
     finally:
-        if before is None:
-            del os.environ["PYTHONSAFEPATH"]
-        else:
-            os.environ["PYTHONSAFEPATH"] = before
+        for number, earlier in before.items():
+            signal.signal(number, earlier)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rerun.chunk import RrdReader
 
-from league.rerun_view import paths
+from league.rerun_view import layout
 
 
 def texts_of(path: Path, entity: str) -> list[tuple[int, str]]:
@@ -18,7 +18,7 @@ def texts_of(path: Path, entity: str) -> list[tuple[int, str]]:
             assert not chunk.is_static
             columns = dict(zip(batch.schema.names, batch.columns, strict=True))
             name = next(name for name in columns if name.endswith("text"))
-            times = columns[paths.TIMELINE].cast("int64").to_pylist()
+            times = columns[layout.TIMELINE].cast("int64").to_pylist()
             texts += zip(times, [text[0] for text in columns[name].to_pylist()], strict=True)
     return sorted(texts)
 
@@ -28,7 +28,7 @@ def rows_of(path: Path) -> dict[str, int]:
     rows: dict[str, int] = {}
     for chunk in RrdReader(path).stream().to_chunks():
         if not chunk.is_static:
-            assert paths.TIMELINE in chunk.timeline_names
+            assert layout.TIMELINE in chunk.timeline_names
             name = chunk.entity_path.lstrip("/")
             rows[name] = rows.get(name, 0) + chunk.num_rows
     return rows

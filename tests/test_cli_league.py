@@ -330,10 +330,10 @@ def test_a_comparison_stops_when_it_is_sure_or_out_of_heats(told):
 def test_a_comparison_reports_its_progress_and_a_verdict_without_a_terminal(
     told, capsys, monkeypatch
 ):
-    from league.cli.season import gauntlet
+    from league.cli.season import heats
     from league.matchmaking.ratings import sprt
 
-    monkeypatch.setattr(gauntlet, "PRINT_EVERY_S", 0.0)
+    monkeypatch.setattr(heats, "PRINT_EVERY_S", 0.0)
     assert main(["compare", "ann", "centerline", "--heats", "2", "--workers", "1"]) == 0
     out, err = capsys.readouterr()
     assert [line.split(":")[0] for line in err.splitlines()] == ["heat 1", "heat 2"]
@@ -341,7 +341,7 @@ def test_a_comparison_reports_its_progress_and_a_verdict_without_a_terminal(
     settings = sprt.SequentialSettings()
     for score, sentence in ((1.0, "Yes, b is better than a."), (0.0, "No, b is not better than a")):
         result = sprt.compare(np.full(40, score), settings)
-        assert gauntlet.Compare("a", "b")._verdict(result, "a", "b").startswith(sentence)
+        assert heats.Compare("a", "b")._verdict(result, "a", "b").startswith(sentence)
 
 
 def test_a_wrong_name_gives_the_nearest_ones(told, capsys):

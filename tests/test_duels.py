@@ -53,7 +53,7 @@ def test_who_passes_by_ramming_does_not_pass_cleanly():
     found = duels.from_behind(CFG, (Lane(0.0), Lane(0.0)), (0.4, 1.0))
     assert found.contacts > 0 and found.hard_contacts > 0
     assert found.clean == 0.0
-    assert found.contacts_per_km > 0.0
+    assert found.contacts > 0 and found.near_km > 0.0
 
 
 def test_the_threshold_lies_between_what_succeeds_and_what_fails(monkeypatch):

@@ -11,7 +11,7 @@ import pytest
 from league import __version__, replay
 from league.errors import LeagueError, ReplayError
 from league.racing import race
-from league.replay import director
+from league.replay import broadcast
 from league.replay import format as file_format
 from league.replay.format import PREFIX, decode, encode
 from league.sim.camera.renderer import PaintRenderer
@@ -229,7 +229,7 @@ def test_the_chase_follows_the_rear_car_of_a_fight_and_then_the_leader():
         distance = [5.0, 3.0 if number < 30 else 1.0]
         return moved(world, x=[10.0, 20.0], y=[0.0, 0.0], yaw=[0.0, 0.0], distance=distance)
 
-    path = director.chase_path(by_hand(60, driven))
+    path = broadcast.chase_path(by_hand(60, driven))
     assert path.x[0] == pytest.approx(20.0)  # 2 m behind: both in the picture
     assert path.x[-1] == pytest.approx(10.0)  # 4 m behind: the leader alone
 
@@ -243,7 +243,7 @@ def test_the_chase_of_a_pursuit_follows_the_winner_and_does_not_jump_round_the_l
     spec = made.result.spec.model_copy(update={"format": "pursuit"})
     pursuit = replace(made, result=made.result.model_copy(update={"spec": spec}))
     winner = pursuit.result.order[0].car
-    assert director.chase_path(pursuit).x == pytest.approx(10.0 + 10.0 * winner)
+    assert broadcast.chase_path(pursuit).x == pytest.approx(10.0 + 10.0 * winner)
 
 
 # Files that are not sound replays.

@@ -6,6 +6,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import unquote
@@ -17,7 +18,7 @@ from rerun.chunk import RrdReader
 
 from league import rerun_view
 from league.errors import ReplayError
-from league.rerun_view import meshes, paths, record, scene, viewer
+from league.rerun_view import layout, record, scene, viewer
 from league.sim.camera.scene import CAR
 from league.track import files
 from tests.recorded import by_hand, moved, raced
@@ -48,14 +49,14 @@ def test_a_recording_holds_every_car_on_one_timeline(tmp_path):
     rows = rows_of(path)
     frames = made.num_frames
     for slot in range(2):
-        assert rows[paths.car(slot)] == frames
-        assert rows[paths.trail(slot)] == frames
-        assert rows[paths.lidar(slot)] == (frames + 1) // 2
-        for which in paths.WHEELS:
-            assert rows[paths.wheel(slot, which)] == frames
-    for chart in (paths.PLOT_SPEED, paths.PLOT_GAP, paths.PLOT_STEERING, paths.CHASE):
+        assert rows[layout.car(slot)] == frames
+        assert rows[layout.trail(slot)] == frames
+        assert rows[layout.car(slot, "lidar")] == (frames + 1) // 2
+        for which in layout.WHEELS:
+            assert rows[layout.car(slot, "wheels", which)] == frames
+    for chart in (layout.PLOT_SPEED, layout.PLOT_GAP, layout.PLOT_STEERING, layout.CHASE):
         assert rows[chart] == frames
-    assert rows[paths.EVENTS] >= 2
+    assert rows[layout.EVENTS] >= 2
     assert [file.name for file in tmp_path.iterdir()] == ["a.rrd"]
     reader = RrdReader(path)
     assert len(reader.recordings()) == len(reader.blueprints()) == 1
@@ -66,15 +67,15 @@ def test_the_eyes_are_films_with_a_picture_for_each_frame(tmp_path):
     path = rerun_view.save(made, tmp_path / "a.rrd")
     rows = rows_of(path)
     for slot in range(2):
-        for side in paths.EYES:
-            assert rows[paths.eye(slot, side)] == 9
+        for side in layout.EYES:
+            assert rows[layout.car(slot, "eyes", side)] == 9
 
 
 def test_obstacles_that_stand_are_sent_once(tmp_path):
     made = by_hand(4, cars=1)
     assert made.columns.num_obstacles == 3
     rows = rows_of(rerun_view.save(made, tmp_path / "a.rrd", cameras=False))
-    assert not [name for name in rows if name.startswith(paths.OBSTACLES)]
+    assert not [name for name in rows if name.startswith(layout.OBSTACLES)]
 
 
 def test_a_recording_that_cannot_be_written_leaves_nothing(tmp_path):
@@ -99,7 +100,7 @@ def test_names_cannot_break_the_classification():
 
 def test_the_road_is_as_large_as_its_length_times_its_width():
     track = files.load("reinvent_2018")
-    mesh = meshes.floor(track)
+    mesh = scene.floor(track)
     colour = np.array([*track.colours.road, 255])
     road = mesh.triangles[(mesh.colours[mesh.triangles[:, 0]] == colour).all(axis=1)]
     a, b, c = (mesh.vertices[road[:, corner], :2] for corner in range(3))
@@ -110,7 +111,7 @@ def test_the_road_is_as_large_as_its_length_times_its_width():
 
 
 def test_normals_of_a_car_point_outward():
-    mesh = meshes.car_body(CAR, (200, 0, 0))
+    mesh = scene.car_body(CAR, (200, 0, 0))
     top = mesh.vertices[:, 2] > 0.177
     assert mesh.normals[top & (np.abs(mesh.normals[:, 2]) > 0.9), 2].min() > 0.9
     assert np.linalg.norm(mesh.normals, axis=1) == pytest.approx(1.0)
@@ -198,22 +199,35 @@ def test_without_a_display_no_window_is_tried(monkeypatch, tmp_path):
 # Live.
 
 
+class Window:
+    """A viewer's window whose recording is a file."""
+
+    has_window, address = True, ""
+
+    def __init__(self, recording: rr.RecordingStream) -> None:
+        self.recording = recording
+
+    def close(self) -> None:
+        self.recording.flush()
+        self.recording.disconnect()
+
+
 def test_a_live_race_sends_each_step_and_touches_nothing(tmp_path):
     behind = (-1.0, -1.0, -1.0, -1.0, 9.0, 9.0)  # it passes in the fifth step
     made = by_hand(6, lambda w, n: moved(w, x=[3.0 + 0.1 * n, 2.0], distance=[0.0, behind[n]]))
     recording = rr.RecordingStream("test")
     recording.save(tmp_path / "live.rrd")
-    live = rerun_view.Live(made.spec, made.track, recording)
+    live = rerun_view.Live(made.spec, made.track, Window(recording))
     worlds = made.worlds()
     for number in range(6):
         live.add(worlds.row(number))
     live.close()
     rows = rows_of(tmp_path / "live.rrd")
-    assert rows[paths.car(0)] == rows[paths.CHASE] == rows[paths.PLOT_GAP] == 6
+    assert rows[layout.car(0)] == rows[layout.CHASE] == rows[layout.PLOT_GAP] == 6
     head = "# re:Invent 2018\n\n**head to head**, 2 laps, live\n\n"
     # Who stands is taken to do 0.5 m/s: a metre is 2 s. Nine metres are no fight any more.
     before = "1. driver_0\n2. driver_1\n\ndriver_1 chases driver_0, 2.0 s"
-    assert texts_of(tmp_path / "live.rrd", paths.TITLE) == [
+    assert texts_of(tmp_path / "live.rrd", layout.TITLE) == [
         (0, head + before.replace("_", "\\_")),
         (266_666_666, head + "1. driver_1\n2. driver_0".replace("_", "\\_")),
     ]
@@ -222,7 +236,7 @@ def test_a_live_race_sends_each_step_and_touches_nothing(tmp_path):
 
 def test_a_live_race_is_served_to_this_machine_only():
     made = by_hand(2)
-    with rerun_view.Live.start(made.spec, made.track, window=False, speed=0.0) as live:
+    with closing(rerun_view.Live.start(made.spec, made.track, window=False)) as live:
         live.add(made.at(np.array([0.0])))
         assert live.how_to_end == "The page stays as it is until you press Ctrl-C."
         ports = [int(part.split("/")[0]) for part in _ports(live.address)]
@@ -263,7 +277,7 @@ def test_cars_lean_and_nose_down_as_their_records_say():
 def test_classification_is_shown_at_the_end_and_the_order_before(tmp_path):
     made = raced()
     path = rerun_view.save(made, tmp_path / "a.rrd", cameras=False)
-    texts = texts_of(path, paths.TITLE)
+    texts = texts_of(path, layout.TITLE)
     assert len(texts) >= 2 and texts[0][0] == 0
     assert all("| total |" not in text for _, text in texts[:-1])
     assert "| total |" in texts[-1][1]
@@ -274,9 +288,9 @@ def test_classification_is_shown_at_the_end_and_the_order_before(tmp_path):
 @pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGKILL])
 def test_no_server_outlives_a_program_that_is_ended(sign):
     program = (
-        "import time\nfrom league.rerun_view import blueprint\n"
+        "import time\nfrom league.rerun_view import layout\n"
         "from league.rerun_view.viewer import Stream\n"
-        "stream = Stream(blueprint.broadcast(1, ('a',), (0, 0, 1, 1)), window=False)\n"
+        "stream = Stream(layout.broadcast(['a'], (0, 0, 1, 1), cameras=False), window=False)\n"
         "print(stream._child.pid, flush=True)\ntime.sleep(60)\n"
     )
     with subprocess.Popen([sys.executable, "-c", program], stdout=-1, text=True) as parent:

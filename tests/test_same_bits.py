@@ -19,7 +19,6 @@ from numba.core.dispatcher import Dispatcher
 
 from league import jit, precompile
 from league.racing import race
-from league.track import projection
 from tests import same_bits
 
 RECORDED = {
@@ -201,7 +200,6 @@ def code() -> list[tuple[str, str]]:
     """
     for part in precompile.PARTS.values():
         part()
-    projection.nearest_rows(np.zeros((2, 2)), np.zeros((1, 2)))  # only imports of tracks need it
     libraries = [one.library for entry in ENTRIES.values() for one in entry.overloads.values()]
     modules = [(one.codegen, one._get_module_for_linking().clone()) for one in libraries]
     return [(str(module), codegen._tm.emit_assembly(module)) for codegen, module in modules]

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from league.errors import ConfigError
 from league.sim.camera.scene import CAR_COLOURS
 from league.video.stills import chase_view, top_view
 from tests.sim.looking import room, settings, world
@@ -45,11 +44,3 @@ def test_rows_choose_the_world():
     now = world(room(), [[(0, 0, 0)], [(2, 1, 1)]])
     first, second = (top_view(room(), settings(1), now, k, 160, 120) for k in (0, 1))
     assert not np.array_equal(first, second)
-
-
-def test_a_picture_of_impossible_size_is_refused():
-    now = world(room(), [(0, 0, 0)])
-    with pytest.raises(ConfigError, match="0x90"):
-        chase_view(room(), settings(1), now, 0, 0, 0, 90)
-    with pytest.raises(ConfigError, match="99999"):
-        top_view(room(), settings(1), now, 0, 99999, 90)

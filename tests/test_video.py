@@ -11,7 +11,7 @@ from league.sim.camera.renderer import Painter
 from league.sim.camera.scene import BOX, BOX_COLOUR, CAR, CAR_COLOURS, MODELS, lit
 from league.sim.camera.tables import THING_COLUMNS, Pose
 from league.video import hud
-from league.video.film import SHADOW_EDGE, SHADOW_KEPT, Coding, Film, Mp4, shadow_of
+from league.video.film import SHADOW_EDGE, SHADOW_KEPT, Film, Mp4, shadow_of
 from league.video.pixels import mix
 from tests.recorded import by_hand, moved, raced
 
@@ -123,7 +123,7 @@ def test_a_size_that_cannot_be_made_is_refused(tmp_path, size):
 def test_colours_survive_the_coding(tmp_path):
     path = str(tmp_path / "a.mp4")
     picture = np.full((64, 64, 3), (226, 52, 62), np.uint8)
-    with Mp4(path, 15, Coding(crf=10)) as made:
+    with Mp4(path, (64, 64), 15, crf=10) as made:
         for _ in range(3):
             made.add(picture)
     with av.open(path) as container:
@@ -135,14 +135,14 @@ def test_colours_survive_the_coding(tmp_path):
 def test_key_frames_come_often_and_no_picture_waits_for_a_later_one(tmp_path):
     path = str(tmp_path / "a.mp4")
     noise = np.random.default_rng(1)
-    with Mp4(path, 15, Coding(keyframe_s=1.0)) as made:
-        for _ in range(40):
+    with Mp4(path, (64, 48), 15) as made:
+        for _ in range(80):
             made.add(noise.integers(0, 255, (48, 64, 3), dtype=np.uint8))
     with av.open(path) as container:
         packets = [p for p in container.demux(video=0) if p.pts is not None]
     keys = [number for number, packet in enumerate(packets) if packet.is_keyframe]
     assert keys[0] == 0
-    assert max(np.diff([*keys, 40])) <= 15
+    assert max(np.diff([*keys, 80])) <= 30
     assert all(packet.pts == packet.dts for packet in packets)
 
 
@@ -161,7 +161,7 @@ def test_the_map_puts_a_car_where_it_is(cars):
 
 def test_graphics_beyond_the_edge_are_cut_off():
     picture = np.zeros((40, 60, 3), np.uint8)
-    hud.put_panel(picture, -10, -10, 300, 300, radius=4, colour=(255, 255, 255), opacity=1.0)
+    hud.put_panel(picture, (-10, -10, 300, 300), 4, (255, 255, 255), opacity=1.0)
     hud.put_text(picture, "far outside", 500, 500, 20)
     hud.put_text(picture, "", 5, 5, 20)
     assert (picture == 255).all()

@@ -6,8 +6,8 @@ from time import thread_time
 
 import numpy as np
 
-from league.agents.driver import Driver
 from league.envs import actions
+from league.envs.driver import Driver
 from league.envs.race_env import Observations, RaceEnv, Step
 from league.errors import ActionError
 

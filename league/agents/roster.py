@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from league.agents.driver import Driver
 from league.agents.scripted import LineDriver, Style
+from league.envs.driver import Driver
 from league.errors import PolicyError, nearest_names
 from league.sim.config import CarConfig
 from league.track.track import TrackSet

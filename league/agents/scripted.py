@@ -15,7 +15,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from league.agents.driver import actions_from
 from league.agents.steering import (
     NODE,
     NODE_GAP,
@@ -29,11 +28,12 @@ from league.agents.steering import (
     steering_target,
     table,
 )
+from league.envs.actions import encode
 from league.envs.state import FIELDS, INDEX, LOOKAHEADS, NEAR_OBSTACLES, NEIGHBOURS
 from league.jit import compiled, inner
 from league.portable_math import atan, clamp, f32
 from league.racing_line.racing_line import center_line, optimal_line
-from league.racing_line.speed_profile import spare_grip
+from league.racing_line.search import spare_grip
 from league.sim.config import CarConfig, SensorConfig
 from league.sim.settings import GRAVITY
 from league.track.track import Track, TrackSet
@@ -141,7 +141,7 @@ class LineDriver:
             self._memory = np.zeros(len(rows), _MEMORY)
         controls = np.empty((2, len(rows)))
         _drive(rows, paces, self._memory, controls, *self._settings)
-        return actions_from(controls[0], controls[1], self._car)
+        return encode(controls[0], controls[1], self._car)
 
 
 @compiled(allocates=True)

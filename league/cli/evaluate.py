@@ -10,10 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import tyro
+from tyro.conf import Positional, arg, subcommand
 
 from league import times
-from league.cli import tables
+from league.cli import lazy, tables
 from league.cli.race import (
     labels,
     num_obstacles,
@@ -29,63 +29,46 @@ from league.sim.config import ObstacleConfig, RaceKind, SimConfig
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from league.deepracer.check import DriveReport, Report
     from league.envs.actions import ActionSpace
-    from league.envs.rewards import Reward
     from league.racing.table import Evaluation
-    from league.racing.trace import Trace
-    from league.track.track import TrackSet
 
-_PRINTED = 5
-"""Last lines of what a reward function printed that are shown."""
+_PRINTED = 5  # Last lines of what a reward function printed that are shown.
 
 
 @dataclass
 class Evaluate:
     """Drive laps from the start line and print trial, time, % completed, off-tracks, crashes."""
 
-    driver: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="DRIVER")]
+    driver: Annotated[Positional[str], arg(metavar="DRIVER")]
     """A checkpoint (FILE.pt), or the name of a scripted driver (see `league drivers`)."""
     track: tuple[str, ...] = ("reinvent_2018",)
     """Names of tracks (see `league tracks`), or track files; one table for each."""
     kind: Literal["auto", "time_trial", "obstacle_avoidance"] = "auto"
     """Kind of race; auto: a time trial, or obstacle avoidance where obstacles were asked for."""
-    laps: int = 3
-    """Laps of each run."""
-    trials: int = 1
-    """Runs from the start line, with seeds counting up."""
+    laps: int = 3  # Laps of each run.
+    trials: int = 1  # Runs from the start line, with seeds counting up.
     variation: float = 1.0
     """How far runs differ: 1 by up to 2 % in grip and mass, 0.3 deg of steering and 0.5 m/s at the
     start; 0: not at all."""
-    episode: bool = False
-    """End a lap at the first mistake, as training does, instead of a penalty."""
-    seed: int = 0
-    """Seed of obstacles and noise of the first run."""
-    solver: Literal["bullet", "planar"] = "bullet"
-    """Physics."""
+    episode: bool = False  # End a lap at the first mistake, as training does, instead of a penalty.
+    seed: int = 0  # Seed of obstacles and noise of the first run.
+    solver: Literal["bullet", "planar"] = "bullet"  # Physics.
     obstacles: int | None = None
     """Boxes or bots on the track; by default 6 where --kind obstacle_avoidance or --bots asks for
     some, else none."""
-    bots: bool = False
-    """Slow bot cars that change lanes instead of boxes."""
-    fixed_obstacles: bool = False
-    """Obstacles evenly spaced instead of at random places."""
-    opponents: tuple[str, ...] = ()
-    """Drivers or checkpoints to race against; they start behind."""
+    bots: bool = False  # Slow bot cars that change lanes instead of boxes.
+    fixed_obstacles: bool = False  # Obstacles evenly spaced instead of at random places.
+    opponents: tuple[str, ...] = ()  # Drivers or checkpoints to race against; they start behind.
     trace: Path | None = None
     """Write every step to this CSV, with the 19 columns that community log tools read; or into this
     folder, NAME.run/simtrace for one, in the layout in which they look for it."""
     reward: str = "progress"
     """What the trace's reward column holds: centerline, progress, race or racing_line, or a reward
     file (FILE.py)."""
-    replay: str = "none"
-    """Folder or .race file for a replay of the first run; "none" keeps none."""
-    json: bool = False
-    """Print JSON."""
+    replay: str = "none"  # Folder or .race file for a replay of the first run; "none" keeps none.
+    json: bool = False  # Print JSON.
 
     def run(self) -> None:
-        from league.racing.trace import Trace, write_evaluation
-
         _check(self)
         evaluations = []
         for track in self.track:
@@ -94,8 +77,10 @@ class Evaluate:
             if not self.json:
                 print_table(evaluation)
             if trace is not None and self.trace is not None:
-                write = write_evaluation if _is_folder(self.trace) else Trace.write
-                path = write(trace, self.trace)
+                if _is_folder(self.trace):
+                    path = lazy.trace.write_evaluation(trace, self.trace)
+                else:
+                    path = trace.write(self.trace)
                 if not self.json:
                     print(f"Trace: {path}")
             if self.replay != "none":
@@ -137,26 +122,20 @@ def _check(command: Evaluate) -> None:
     ):
         if contradicts:
             raise ConfigError(sentence)
-    print_remark(_kind(command), _num_obstacles(command), 1)
+    print_remark(_kind(command), num_obstacles(command), 1)
 
 
-def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
-    from league.agents import roster
-    from league.racing.evaluate import evaluate
-    from league.racing.trace import Trace
-    from league.track import files
-    from league.track.track import TrackSet
-
-    course = files.load(track)
-    tracks, sim = TrackSet(course), SimConfig()
-    driver = roster.load(command.driver, tracks, sim.car)
-    opponents = [roster.load(name, tracks, sim.car) for name in command.opponents]
+def _one(command: Evaluate, track: str) -> tuple[Evaluation, lazy.trace.Trace | None]:
+    course = lazy.files.load(track)
+    tracks, sim = lazy.track.TrackSet(course), SimConfig()
+    driver = lazy.roster.load(command.driver, tracks, sim.car)
+    opponents = [lazy.roster.load(name, tracks, sim.car) for name in command.opponents]
     trace = reward = None
     if command.trace is not None:
         space: ActionSpace | None = getattr(getattr(driver, "card", None), "action_space", None)
-        trace = Trace(space, driver.sensors, started_s=time.time())
+        trace = lazy.trace.Trace(space, driver.sensors, started_s=time.time())
         reward = partial(named, command.reward, tracks, sim, cars=(0,))
-    done = evaluate(
+    done = lazy.evaluate.evaluate(
         driver,
         course,
         laps=command.laps,
@@ -167,7 +146,7 @@ def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
         solver=command.solver,
         variation=command.variation,
         obstacles=ObstacleConfig(
-            count=_num_obstacles(command),
+            count=num_obstacles(command),
             kind="bot" if command.bots else "box",
             random_places=not command.fixed_obstacles,
         ),
@@ -176,10 +155,6 @@ def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
         watch=None if trace is None else trace.add,
     )
     return done.model_copy(update={"driver": labels([command.driver])[0]}), trace
-
-
-def _num_obstacles(command: Evaluate) -> int:
-    return num_obstacles(command, avoiding=command.kind == "obstacle_avoidance")
 
 
 def _kind(command: Evaluate) -> RaceKind:
@@ -192,18 +167,13 @@ def _is_folder(path: Path) -> bool:
 
 def _keep_replay(command: Evaluate, track: str) -> None:
     """Drive the first run once more, as a race that is recorded: the same race to the bit."""
-    from league import replay as replays
-    from league.racing import race
-    from league.racing.evaluate import start_speed
-    from league.track import files
-
-    course = files.load(track)
+    course = lazy.files.load(track)
     spec = race_spec(command, course.name, _kind(command), [command.driver, *command.opponents])
-    started = start_speed(command.variation, len(spec.entries))
+    started = lazy.evaluate.start_speed(command.variation, len(spec.entries))
     spec = spec.model_copy(update={"variation": command.variation, "start_speed": started})
-    recorded = race.run(spec, track=course).replay
+    recorded = lazy.race.run(spec, track=course).replay
     assert recorded is not None
-    path = replays.write(recorded, replay_path(command.replay, spec, course))
+    path = lazy.replay.write(recorded, replay_path(command.replay, spec, course))
     if not command.json:
         print(replay_line(path))
 
@@ -248,19 +218,16 @@ def summary(done: Evaluation) -> str:
 class CheckReward:
     """Try a DeepRacer reward file on recorded drives of every kind of race."""
 
-    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE.py")]
+    file: Annotated[Positional[Path], arg(metavar="FILE.py")]
     """The Python file that defines reward_function(params); it is your own program, and is run."""
     kind: RaceKind | None = None
     """Kind of race that it is written for; by default it is tried in every kind, and may need
     objects."""
-    json: bool = False
-    """Print JSON."""
+    json: bool = False  # Print JSON.
 
     def run(self) -> int:
         """Run the command; 1 if the function fails anywhere."""
-        from league.deepracer import check
-
-        report = check.check(self.file, kind=self.kind)
+        report = lazy.check.check(self.file, kind=self.kind)
         if self.json:
             print(json.dumps(_as_json(report), indent=2))
         else:
@@ -272,42 +239,34 @@ class CheckReward:
 class ScoreReplay:
     """Score a recorded race with another reward function, and plot it with a second one."""
 
-    replay: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="REPLAY")]
-    """The replay file."""
-    reward: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="REWARD")]
+    replay: Annotated[Positional[Path], arg(metavar="REPLAY")]  # The replay file.
+    reward: Annotated[Positional[str], arg(metavar="REWARD")]
     """A reward file (FILE.py), or centerline, progress, race or racing_line."""
-    against: str = "progress"
-    """The second one: another reward file, or a built-in reward."""
+    against: str = "progress"  # The second one: another reward file, or a built-in reward.
     out: Path | None = None
     """Where to write the picture; by default next to the replay, with the ending .reward.png."""
-    json: bool = False
-    """Print JSON."""
+    json: bool = False  # Print JSON.
 
     def run(self) -> None:
-        from league import replay as replays
-        from league.deepracer import rescore
-
-        race = replays.read(self.replay)
+        race = lazy.replay.read(self.replay)
         scores = []
         for name in (self.reward, self.against):
             reward = named(name, race.tracks, race.sim, 1, range(race.num_cars))
             shown = Path(name).name if name.endswith(".py") else f"{name} (built in)"
-            scores.append(rescore.score(race, reward, shown))
+            scores.append(lazy.rescore.score(race, reward, shown))
         path = self.out or self.replay.with_suffix(".reward.png")
-        rescore.draw(race, scores, path)
+        lazy.rescore.draw(race, scores, path)
+        cars = list(enumerate(race.names))
         if self.json:
             documents = []
             for one in scores:
                 totals = [
-                    {"car": car, "name": name, "total": float(one.totals[car])}
-                    for car, name in enumerate(race.names)
+                    {"car": k, "name": name, "total": float(one.totals[k])} for k, name in cars
                 ]
                 documents.append({"reward": one.name, "totals": totals})
             print(json.dumps({"picture": str(path), "scores": documents}, indent=2))
             return
-        rows = []
-        for car, name in enumerate(race.names):
-            rows.append((name, "", *(f"{one.totals[car]:,.2f}" for one in scores)))
+        rows = [(name, "", *(f"{one.totals[k]:,.2f}" for one in scores)) for k, name in cars]
         heads = ("driver", "", *(one.name for one in scores))
         tables.table("Reward of the whole race", heads, rows)
         print(f"Picture: {path}")
@@ -318,24 +277,20 @@ class Rewards:
     """Check a reward function, or score a recorded race with one."""
 
     command: (
-        Annotated[CheckReward, tyro.conf.subcommand("check")]
-        | Annotated[ScoreReplay, tyro.conf.subcommand("score")]
+        Annotated[CheckReward, subcommand("check")] | Annotated[ScoreReplay, subcommand("score")]
     )
 
 
 def named(
-    name: str, tracks: TrackSet, sim: SimConfig, num_worlds: int, cars: Sequence[int]
-) -> Reward:
+    name: str, tracks: lazy.track.TrackSet, sim: SimConfig, num_worlds: int, cars: Sequence[int]
+) -> lazy.rewards.Reward:
     """Return a built-in reward, or that of a reward file (FILE.py), which pays these cars."""
-    from league.deepracer import user_reward
-    from league.envs.rewards import built_in
-
     if name.endswith(".py"):
-        return user_reward(name, num_worlds, cars, sim=sim)
-    return built_in(name, tracks, sim.car)
+        return lazy.reward_file.user_reward(name, num_worlds, cars, sim=sim)
+    return lazy.rewards.built_in(name, tracks, sim.car)
 
 
-def _print_report(report: Report) -> None:
+def _print_report(report: lazy.check.Report) -> None:
     heads = ("drive", "", "steps", "min", "mean", "max", "us")
     tables.table(f"{report.source.path}", heads, map(_row, report.drives), "us", "steps")
     print(f"Keys read ({len(report.keys)} of 27): {', '.join(report.keys) or 'none'}")
@@ -349,14 +304,13 @@ def _print_report(report: Report) -> None:
         )
     for warning in report.warnings:
         print(f"Note: {warning}")
-    printed = report.source.prints.lines
-    if printed:
-        print(f"It prints; the last {min(len(printed), _PRINTED)} lines:")
-        for line in printed[-_PRINTED:]:
+    if printed := report.source.prints.lines[-_PRINTED:]:
+        print(f"It prints; the last {len(printed)} lines:")
+        for line in printed:
             print(f"  {line[:160]}")
 
 
-def _failures(report: Report) -> list[str]:
+def _failures(report: lazy.check.Report) -> list[str]:
     """Return each fault once, with the first drive on which it came."""
     failures: dict[str, list[str]] = {}
     for one in report.failures:
@@ -369,7 +323,7 @@ def _failures(report: Report) -> list[str]:
     ]
 
 
-def _row(one: DriveReport) -> tuple[str, ...]:
+def _row(one: lazy.check.DriveReport) -> tuple[str, ...]:
     state = "fails" if one.failure else "ok"
     if not one.rewards:
         return one.title, state, f"0 of {one.calls}", "", "", "", ""
@@ -379,11 +333,10 @@ def _row(one: DriveReport) -> tuple[str, ...]:
 
 
 def _short(value: float) -> str:
-    """Return a number in few characters."""
     return f"{value:.2f}" if value == 0 or 0.01 <= abs(value) < 1e4 else f"{value:.0e}"
 
 
-def _as_json(report: Report) -> dict[str, object]:
+def _as_json(report: lazy.check.Report) -> dict[str, object]:
     return {
         "file": str(report.source.path),
         "digest": report.source.digest,

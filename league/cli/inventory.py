@@ -7,38 +7,31 @@ import shlex
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
-import tyro
+from tyro.conf import Positional, arg, subcommand
 
 from league.atomic_file import replacing
-from league.cli import tables
+from league.cli import lazy, tables
 from league.cli.season import OnLeague
 from league.errors import ConfigError, TrackError
-
-if TYPE_CHECKING:
-    from league.agents.checkpoint import Checkpoint
 
 
 @dataclass
 class ListTracks:
     """List the tracks that ship with the league."""
 
-    json: bool = False
-    """Print JSON."""
+    json: bool = False  # Print JSON.
 
     def run(self) -> None:
-        from league.track import files
-
-        reports = [files.report(files.load(name)) for name in files.names()]
+        reports = [lazy.files.report(lazy.files.load(name)) for name in lazy.files.names()]
         if self.json:
             print(json.dumps(reports, indent=2))
             return
         rows = []
         for one in reports:
-            length, width = f"{one['length']:.2f}", f"{one['width']:.3f}"
-            radius = f"{one['min_radius']:.2f}"
-            rows.append((one["name"], one["title"], length, width, radius, one["direction"]))
+            sizes = f"{one['length']:.2f}", f"{one['width']:.3f}", f"{one['min_radius']:.2f}"
+            rows.append((one["name"], one["title"], *sizes, one["direction"]))
         heads = ("name", "title", "length", "width", "radius", "driven")
         tables.table("Tracks", heads, rows, "title", "driven", "radius")
         print("Lengths, widths and smallest radii in metres.")
@@ -48,19 +41,15 @@ class ListTracks:
 class ShowTrack:
     """Draw a track to a PNG, with start line and direction."""
 
-    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="TRACK")]
-    """Name of a track, or a track file."""
-    out: Path | None = None
-    """Where to write the picture; by default NAME.png here."""
+    name: Annotated[Positional[str], arg(metavar="TRACK")]  # Name of a track, or a track file.
+    out: Path | None = None  # Where to write the picture; by default NAME.png here.
 
     def run(self) -> None:
-        from league.track import files, markings
-
-        track = files.load(self.name)
+        track = lazy.files.load(self.name)
         path = self.out or Path(f"{track.name}.png")
         with replacing(path, "the picture", TrackError) as file:
-            file.write_bytes(markings.png(markings.poster(track)))
-        one = files.report(track)
+            file.write_bytes(lazy.markings.png(lazy.markings.poster(track)))
+        one = lazy.files.report(track)
         print(
             f"{one['title']}: {one['length']:.2f} m, {one['width']:.3f} m wide, "
             f"{one['direction']}, smallest radius {one['min_radius']:.2f} m"
@@ -72,14 +61,12 @@ class ShowTrack:
 class ImportTracks:
     """Turn community .npy tracks (N x 6 waypoints) into track files."""
 
-    files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE...")]
+    files: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE...")]
     """The .npy files, or folders of them."""
     out: Path | None = None
     """Where to write the track, by default NAME.yaml here; for several tracks a folder."""
 
     def run(self) -> None:
-        from league.track import files, importer
-
         sources: list[Path] = []
         for file in self.files:
             found = sorted(file.glob("*.npy")) if file.is_dir() else [file]
@@ -97,10 +84,10 @@ class ImportTracks:
         refused = 0
         for source in sources:
             try:
-                track = importer.read_npy(source)
+                track = lazy.importer.read_npy(source)
                 name = Path(f"{track.name}.yaml")
                 path = (self.out or name) if single else (self.out or Path()) / name
-                files.save(track, path)
+                lazy.files.save(track, path)
             except TrackError as error:
                 if single:
                     raise
@@ -119,29 +106,21 @@ class ImportTracks:
 class GenerateTracks:
     """Draw new tracks from seeds, for training."""
 
-    seed: int = 0
-    """Seed of the first track."""
-    count: int = 1
-    """How many, with seeds counting up."""
-    out: Path = Path("generated")
-    """Folder to write to."""
-    min_radius: float = 0.5
-    """Smallest radius of the centreline [m]."""
+    seed: int = 0  # Seed of the first track.
+    count: int = 1  # How many, with seeds counting up.
+    out: Path = Path("generated")  # Folder to write to.
+    min_radius: float = 0.5  # Smallest radius of the centreline [m].
     width: tuple[float, float] = (0.6, 1.1)
     """Smallest and largest width of the road [m]; equal for exactly that one."""
-    length: tuple[float, float] = (15.0, 40.0)
-    """Smallest and largest length [m]."""
-    direction: Literal["any", "counter-clockwise", "clockwise"] = "any"
-    """Which way round."""
+    length: tuple[float, float] = (15.0, 40.0)  # Smallest and largest length [m].
+    direction: Literal["any", "counter-clockwise", "clockwise"] = "any"  # Which way round.
 
     def run(self) -> None:
-        from league.track import files, generate
-
         if self.count < 1:
             raise TrackError(f"{self.count} tracks were asked for: give a count of at least 1")
         direction = None if self.direction == "any" else self.direction
         for seed in range(self.seed, self.seed + self.count):
-            track = generate.generate(
+            track = lazy.generate.generate(
                 seed,
                 min_radius=self.min_radius,
                 width=self.width,
@@ -149,7 +128,7 @@ class GenerateTracks:
                 direction=direction,
             )
             path = self.out / f"{track.name}.yaml"
-            files.save(track, path)
+            lazy.files.save(track, path)
             print(f"{path}: {track.length:.2f} m, {track.width:.2f} m wide, {track.direction}")
 
 
@@ -158,10 +137,10 @@ class Tracks:
     """List, draw, import and generate tracks."""
 
     command: (
-        Annotated[ListTracks, tyro.conf.subcommand("list")]
-        | Annotated[ShowTrack, tyro.conf.subcommand("show")]
-        | Annotated[ImportTracks, tyro.conf.subcommand("import")]
-        | Annotated[GenerateTracks, tyro.conf.subcommand("generate")]
+        Annotated[ListTracks, subcommand("list")]
+        | Annotated[ShowTrack, subcommand("show")]
+        | Annotated[ImportTracks, subcommand("import")]
+        | Annotated[GenerateTracks, subcommand("generate")]
     ) = field(default_factory=ListTracks)
 
 
@@ -170,11 +149,9 @@ class Drivers:
     """List the scripted drivers and the policies in the garage."""
 
     def run(self) -> None:
-        from league.agents import checkpoint, roster
-
-        rows = list(roster.NAMES.items())
-        for name, path in roster.garage().items():
-            card = checkpoint.load(path).card
+        rows = list(lazy.roster.NAMES.items())
+        for name, path in lazy.roster.garage().items():
+            card = lazy.checkpoint.load(path).card
             races = f"{card.kind.replace('_', ' ')} on {', '.join(card.tracks[:3])}"
             training = f"{card.steps:,} decisions, {card.train_s / 60:.1f} min"
             rows.append((name, f"a policy: {races}; {training}"))
@@ -185,32 +162,27 @@ class Drivers:
 class ShowCard:
     """Show a checkpoint's card: sensors, network, where it was trained and how well it drove."""
 
-    checkpoint: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="CHECKPOINT")]
+    checkpoint: Annotated[Positional[str], arg(metavar="CHECKPOINT")]
     """The checkpoint (FILE.pt), or a name in the garage."""
-    json: bool = False
-    """Print JSON."""
+    json: bool = False  # Print JSON.
 
     def run(self) -> None:
-        from league.agents import checkpoint, roster
-
-        loaded = checkpoint.load(roster.checkpoint_path(self.checkpoint))
+        loaded = lazy.checkpoint.load(lazy.roster.checkpoint_path(self.checkpoint))
         if self.json:
             card = loaded.card.model_dump(mode="json")
-            print(json.dumps({"digest": checkpoint.digest(loaded), "card": card}, indent=2))
+            print(json.dumps({"digest": lazy.checkpoint.digest(loaded), "card": card}, indent=2))
             return
-        tables.table(self.checkpoint, ("", "card"), _lines(loaded, checkpoint.digest(loaded)))
+        tables.table(self.checkpoint, ("", "card"), _lines(loaded, lazy.checkpoint.digest(loaded)))
 
 
 @dataclass
 class Export(OnLeague):
     """Write a checkpoint's network as ONNX, or a league's results as CSV or JSON."""
 
-    checkpoint: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="CHECKPOINT")] = (
-        None
-    )
+    checkpoint: Annotated[Positional[str | None], arg(metavar="CHECKPOINT")] = None
     """The checkpoint (FILE.pt) or a name in the garage, for a physical car or any other runtime;
     none for a league."""
-    onnx: Annotated[tuple[Path, ...] | None, tyro.conf.arg(metavar="[FILE]")] = None
+    onnx: Annotated[tuple[Path, ...] | None, arg(metavar="[FILE]")] = None
     """Write ONNX, the default for a checkpoint; without FILE next to the checkpoint (for a name in
     the garage: here), with the ending .onnx."""
     csv: Path | None = None
@@ -235,14 +207,11 @@ class Export(OnLeague):
                 heats.export_json(store, self.json)
 
     def _export_network(self) -> None:
-        from league.agents import checkpoint, export, roster
-
         source, outputs = self.checkpoint, list(self.onnx or ())
-        for path in outputs:
-            if source is None and path.suffix == ".pt":  # as in `--onnx a.pt`
-                source = str(path)
-                outputs.remove(path)
-                break
+        named = [path for path in outputs if path.suffix == ".pt"]
+        if source is None and named:  # as in `--onnx a.pt`
+            source = str(named[0])
+            outputs.remove(named[0])
         if source is None:
             raise ConfigError(
                 "nothing was named to export: give a checkpoint (FILE.pt), or --csv FILE or "
@@ -254,11 +223,11 @@ class Export(OnLeague):
                 f"--onnx would write {' and '.join(map(str, outputs))}: give one file, NAME.onnx, "
                 "or none for one next to the checkpoint"
             )
-        export.to_onnx(checkpoint.load(roster.checkpoint_path(source)), output)
+        lazy.export.to_onnx(lazy.checkpoint.load(lazy.roster.checkpoint_path(source)), output)
         print(f"Network: {output}   ({output.stat().st_size / 1024:.0f} kB)")
 
 
-def _lines(loaded: Checkpoint, digest: str) -> list[tuple[str, str]]:
+def _lines(loaded: lazy.checkpoint.Checkpoint, digest: str) -> list[tuple[str, str]]:
     """Return the lines of the card: name and text."""
     card = loaded.card
     numbers = sum(weight.size for weight in loaded.weights.values())
@@ -284,8 +253,7 @@ def _lines(loaded: Checkpoint, digest: str) -> list[tuple[str, str]]:
 def _brief(value: object) -> str:
     """Return data as short text, 'width 64, height 48'; None is omitted."""
     if isinstance(value, dict):
-        parts = [f"{name} {_brief(part)}" for name, part in value.items() if part is not None]
-        return ", ".join(parts)
+        return ", ".join(f"{name} {_brief(one)}" for name, one in value.items() if one is not None)
     if isinstance(value, list):
         return f"({' '.join(_brief(part) for part in value)})"
     return f"{value:g}" if isinstance(value, float) else str(value)

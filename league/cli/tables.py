@@ -12,8 +12,7 @@ if TYPE_CHECKING:
 
 WORDS = ("title", "driven", "how it drives", "owner", "winner", "grid", "scopes")
 """Heads of columns of words, whichever place they have."""
-NAME_WIDTH = 24
-"""Characters of a name in a line, where there is no room for whole ones."""
+NAME_WIDTH = 24  # Characters of a name in a line, where there is no room for whole ones.
 
 
 def spelled(text: str) -> str:
@@ -39,28 +38,22 @@ def fitted(
 ) -> Table:
     """Return a table that fits the terminal: names of 24 characters are whole, and no text is cut.
 
-    Args:
-        title: above it.
-        columns: their heads. The first two and those in WORDS are set to the left and wrap, others,
-            such as numbers, never do.
-        rows: cells of all columns.
-        spare: columns to leave out where there is no room, the least needed one first; a line below
-            the table names those.
+    The first two columns and those in WORDS are set to the left and wrap, others, such as numbers,
+    never do. Where there is no room `spare` ones are left out, the least needed one first, and
+    named in a line below.
     """
     kept, width = [tuple(map(str, row)) for row in rows], console().width
     drawn = _drawn(title, columns, kept, 1)
     if _width(drawn) <= width:
         return drawn
-    left_out: list[str] = []
-    heads, cells = columns, kept
-    for head in spare:
-        if _width(_drawn(title, heads, cells, 0, NAME_WIDTH)) <= width:
-            break
-        left_out.append(head)
-        shown = [k for k, one in enumerate(columns) if one not in left_out]
+    heads, cells, left_out = columns, kept, 0
+    while left_out < len(spare) and _width(_drawn(title, heads, cells, 0, NAME_WIDTH)) > width:
+        left_out += 1
+        shown = [k for k, one in enumerate(columns) if one not in spare[:left_out]]
         heads, cells = [columns[k] for k in shown], [[row[k] for k in shown] for row in kept]
     drawn = _drawn(title, heads, cells, 0)
-    drawn.caption = f"In a wider terminal also: {', '.join(left_out)}" if left_out else None
+    if left_out:
+        drawn.caption = f"In a wider terminal also: {', '.join(spare[:left_out])}"
     return drawn
 
 
@@ -87,17 +80,9 @@ def _drawn(
     from rich import box
     from rich.table import Table
 
-    drawn = Table(
-        title=spelled(title),
-        title_justify="left",
-        title_style="bold",
-        caption_justify="left",
-        caption_style="dim",
-        header_style="dim",
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-        padding=(0, padding),
-    )
+    drawn = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, padding), header_style="dim")
+    drawn.title, drawn.title_justify, drawn.title_style = spelled(title), "left", "bold"
+    drawn.caption_justify, drawn.caption_style = "left", "dim"
     for number, column in enumerate(columns):
         if number < 2 or column in WORDS:
             drawn.add_column(column, overflow="fold", max_width=widest)

@@ -7,9 +7,8 @@ import shlex
 import shutil
 import signal
 import sys
-import threading
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,15 +17,15 @@ import tyro
 
 from league import precompile
 from league.atomic_file import replacing
-from league.cli import train_settings
+from league.cli import lazy, train_settings
+from league.cli.evaluate import print_table
 from league.errors import ConfigError, PolicyError, RewardError
+from league.subprocesses import handling
 from league.training import config, run_folder
 from league.training.config import RunConfig
 
 if TYPE_CHECKING:
-    from league.racing.duels import Threshold
     from league.training.monitor.history import TrainingCallback
-    from league.training.run import Outcome, Run
 
 OLD_FLAGS = {
     "--exam-track": "--eval-track",
@@ -71,14 +70,10 @@ class Train:
     """A hyperparameters.json with DeepRacer's names; flags take precedence."""
     resume: bool = False
     """Go on with the run of --out as it was started; --minutes or --steps may give it more."""
-    overwrite: bool = False
-    """Start a new run where --out or its run exist already."""
-    plain: bool = False
-    """One line now and then instead of the live page."""
-    watch: bool = False
-    """Stream a few cars to the Rerun viewer."""
-    tensorboard: bool = True
-    """Write TensorBoard scalars into the run's folder."""
+    overwrite: bool = False  # Start a new run where --out or its run exist already.
+    plain: bool = False  # One line now and then instead of the live page.
+    watch: bool = False  # Stream a few cars to the Rerun viewer.
+    tensorboard: bool = True  # Write TensorBoard scalars into the run's folder.
 
     @property
     def folder(self) -> Path:
@@ -87,7 +82,31 @@ class Train:
 
     def run(self) -> int:
         precompile.ensure()
-        return _train(self)
+        cfg, is_first = self.cfg, lazy.distributed.is_first()
+        if is_first and any(name.startswith("generated:") for name in cfg.tracks):
+            print("Drawing the tracks; hundreds take half a minute.", flush=True)
+        with (
+            lazy.learner.threads(cfg.threads),
+            _interrupted_by_sigterm(),
+            closing(lazy.run.Run(cfg, self.folder)) as run,
+        ):
+            if self.resume:
+                _resume(self, run)
+            callbacks = _callbacks(self, run) if is_first else []
+            try:
+                outcome = run.learn(callbacks)
+            except KeyboardInterrupt:
+                if is_first:
+                    print(f"\nStopped. {_kept(self)}", file=sys.stderr)
+                return 130
+            except RewardError:
+                if is_first:
+                    _show_printed(self.folder)
+                    print(_kept(self), file=sys.stderr)
+                raise
+        if is_first:
+            _report(self, outcome)
+        return 0
 
 
 def parse(arguments: list[str]) -> Train:
@@ -156,39 +175,6 @@ def _refuse_taken(command: Train) -> None:
         )
 
 
-def _train(command: Train) -> int:
-    from league.training.ppo import distributed
-    from league.training.ppo.learner import threads
-    from league.training.run import Run
-
-    cfg, is_first = command.cfg, distributed.is_first()
-    if is_first and any(name.startswith("generated:") for name in cfg.tracks):
-        print("Drawing the tracks; hundreds take half a minute.", flush=True)
-    with threads(cfg.threads), _interrupted_by_sigterm():
-        run = Run(cfg, command.folder)
-        try:
-            if command.resume:
-                _resume(command, run)
-            callbacks = _callbacks(command, run) if is_first else []
-        except BaseException:
-            run.close()
-            raise
-        try:
-            outcome = run.learn(callbacks)
-        except KeyboardInterrupt:
-            if is_first:
-                print(f"\nStopped. {_kept(command)}", file=sys.stderr)
-            return 130
-        except RewardError:
-            if is_first:
-                _show_printed(command.folder)
-                print(_kept(command), file=sys.stderr)
-            raise
-    if is_first:
-        _report(command, outcome)
-    return 0
-
-
 @contextmanager
 def _interrupted_by_sigterm() -> Generator[None]:
     """Treat SIGTERM as Ctrl-C, so that what was learnt is saved and the cursor comes back."""
@@ -196,20 +182,12 @@ def _interrupted_by_sigterm() -> Generator[None]:
     def stop(number: int, frame: object) -> None:
         raise KeyboardInterrupt
 
-    if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread receives signals
-        return
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
+    with handling(stop, signal.SIGTERM):
         yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
-def _resume(command: Train, run: Run) -> None:
+def _resume(command: Train, run: lazy.run.Run) -> None:
     """Load the run's state, and print how far it has come and how far it goes."""
-    from league.training.ppo import distributed
-
     before = config.read(run.folder)
     run.resume()
     decisions = f"{run.learner.samples:,} decisions"
@@ -219,7 +197,7 @@ def _resume(command: Train, run: Run) -> None:
             f"{run.spent_s / 60:.3g} minutes): give --minutes or --steps above that, counted from "
             "its beginning, to go on"
         )
-    if not distributed.is_first():
+    if not lazy.distributed.is_first():
         return
     rest = ", with the settings the run was started with."
     if run.cfg.budget != before.budget:
@@ -237,43 +215,32 @@ def _budget(cfg: RunConfig) -> str:
     return " or ".join(parts)
 
 
-def _callbacks(command: Train, run: Run) -> list[TrainingCallback]:
-    from league.training.monitor.dashboard import Dashboard
-    from league.training.monitor.sinks import TrainingPlot
-
+def _callbacks(command: Train, run: lazy.run.Run) -> list[TrainingCallback]:
     cfg = run.cfg
     callbacks: list[TrainingCallback] = []
     if command.watch:
-        from league.training.monitor.sinks import LiveView
-
-        watching = LiveView(*run.learner.shown)
+        watching = lazy.sinks.LiveView(*run.learner.shown)
         # Before the page, which draws over whatever is printed while it is open.
         print(f"Watching live: {watching.address}", file=sys.stderr, flush=True)
         callbacks.append(watching)
-    page = Dashboard(
-        run.train, 60.0 * cfg.minutes or None, cfg.steps or None, cfg.name, plain=command.plain
-    )
-    callbacks += [page, TrainingPlot(run.folder / "training.png")]
+    budget = 60.0 * cfg.minutes or None, cfg.steps or None
+    page = lazy.dashboard.Dashboard(run.train, *budget, cfg.name, plain=command.plain)
+    callbacks += [page, lazy.sinks.TrainingPlot(run.folder / "training.png")]
     if command.tensorboard:
-        from league.training.monitor.sinks import TensorBoard
-
-        callbacks.append(TensorBoard(run.folder / "tensorboard"))
+        callbacks.append(lazy.sinks.TensorBoard(run.folder / "tensorboard"))
     return callbacks
 
 
 def _kept(command: Train) -> str:
     """Keep the best policy of a run that ends early as --out; return what is kept, as a line."""
-    folder = command.folder
-    if not (folder / "state.pt").exists():
+    state, last, best = (command.folder / name for name in ("state.pt", "last.pt", "best.pt"))
+    if not state.exists():
         return "Nothing was learnt yet."
-    if not (folder / "last.pt").exists():
-        state = folder / "state.pt"
-        return f"Kept: {state}, with what the teacher has learnt; go on with --resume."
-    kept = f"Kept: {folder / 'last.pt'}"
-    if (folder / "best.pt").exists():
-        _copy(folder / "best.pt", command.out)
+    kept = f"{last}" if last.exists() else f"{state}, with what the teacher has learnt"
+    if best.exists():
+        _copy(best, command.out)
         kept += f", and the best so far as {command.out}"
-    return f"{kept}; go on with --resume."
+    return f"Kept: {kept}; go on with --resume."
 
 
 def _copy(best: Path, out: Path) -> None:
@@ -290,14 +257,18 @@ def _show_printed(folder: Path) -> None:
             print(f"  {line[:160]}", file=sys.stderr)
 
 
-def _report(command: Train, outcome: Outcome) -> None:
-    from league.cli.evaluate import print_table
-
+def _report(command: Train, outcome: lazy.run.Outcome) -> None:
     if outcome.evaluation is not None:
         print_table(outcome.evaluation)
     _copy(outcome.best, command.out)
-    if outcome.duels is not None:
-        print(_pace_of_rivals(outcome.duels))
+    if (found := outcome.duels) is not None:
+        none = "no pace that was tried"
+        passes = f"{100 * found.pace:.0f} % of its own pace" if found.pace else none
+        holds = f"up to {100 * found.hold:.0f} %" if found.hold else none
+        print(
+            f"Against itself, slowed: it passes rivals of {passes} cleanly in half of the races, "
+            f"and keeps behind it rivals of {holds}"
+        )
     print(
         f"{outcome.samples} decisions in {outcome.time_s:.0f} s; stopped because {outcome.why}.\n"
         f"Best policy: {command.out}\n"
@@ -306,7 +277,7 @@ def _report(command: Train, outcome: Outcome) -> None:
     )
 
 
-def _next_step(command: Train, outcome: Outcome) -> str:
+def _next_step(command: Train, outcome: lazy.run.Outcome) -> str:
     """Return what to do after a run: race its policy, or train on if no lap was complete."""
     out = shlex.quote(os.fspath(command.out))
     if outcome.evaluation is None or outcome.evaluation.complete_laps:
@@ -317,14 +288,4 @@ def _next_step(command: Train, outcome: Outcome) -> str:
     return (
         "No lap is complete yet. Train on with twice the budget: "
         f"league train --resume --out {out} {' '.join(more)}"
-    )
-
-
-def _pace_of_rivals(found: Threshold) -> str:
-    """Return how fast rivals are that the best policy of self-play passes, and keeps behind."""
-    passes = f"{100 * found.pace:.0f} % of its own pace" if found.pace else "no pace that was tried"
-    holds = f"up to {100 * found.hold:.0f} %" if found.hold else "no pace that was tried"
-    return (
-        f"Against itself, slowed: it passes rivals of {passes} cleanly in half of the races, and "
-        f"keeps behind it rivals of {holds}"
     )

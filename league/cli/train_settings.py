@@ -22,12 +22,10 @@ from league.training.config import PpoConfig, RunConfig, TrainConfig, read
 if TYPE_CHECKING:
     from league.cli.train import Train
 
-_WORK = 16_384
-"""Decisions of usual settings that take 10 to 20 s on two cores."""
+_WORK = 16_384  # Decisions of usual settings that take 10 to 20 s on two cores.
 _SHORT_MIN, _SHORT_STEPS, _FEW_WORLDS = 2.0, 65_536, 16
 """Budgets up to which a run is short, and its worlds: few, for an update after few decisions."""
-_STEPS_OF_LAPS = 256
-"""Steps in which a policy that has learnt a little comes round most tracks: 17 s."""
+_STEPS_OF_LAPS = 256  # Steps, 17 s, in which who has learnt a little comes round most tracks.
 
 
 def defaults(command: Train) -> RunConfig:
@@ -35,9 +33,7 @@ def defaults(command: Train) -> RunConfig:
     cfg = _stored(command) if command.resume else _new(command)
     if command.hyperparameters is None:
         return cfg
-    return replace(
-        cfg, train=replace(cfg.train, ppo=_from_deepracer(command.hyperparameters, cfg.train))
-    )
+    return replace(cfg, train=_from_deepracer(command.hyperparameters, cfg.train))
 
 
 def _stored(command: Train) -> RunConfig:
@@ -70,9 +66,8 @@ def _new(command: Train) -> RunConfig:
         if cfg.self_play:
             cfg = replace(cfg, reward="race")
             train = replace(train, teacher=0.0 if cfg.init_from or train.sensors.truth else 0.5)
-    return replace(
-        cfg, minutes=0.0 if cfg.steps else cfg.minutes, train=replace(train, num_cars=cars, ppo=ppo)
-    )
+    minutes = 0.0 if cfg.steps else cfg.minutes
+    return replace(cfg, minutes=minutes, train=replace(train, num_cars=cars, ppo=ppo))
 
 
 def finished(command: Train) -> RunConfig:
@@ -191,8 +186,8 @@ def _with_body(command: Train, train: TrainConfig) -> TrainConfig:
     return replace(train, action_space=space, sensors=sensors, network=parent.network)
 
 
-def _from_deepracer(path: Path, train: TrainConfig) -> PpoConfig:
-    """Return the learner's settings with those that a hyperparameters.json names."""
+def _from_deepracer(path: Path, train: TrainConfig) -> TrainConfig:
+    """Return the settings with those that a hyperparameters.json names."""
     asked = hyperparameters.read(path)
     same = {"gamma": asked.discount_factor, "epochs": asked.num_epochs}
     changes: dict[str, object] = {name: one for name, one in same.items() if one is not None}
@@ -213,7 +208,7 @@ def _from_deepracer(path: Path, train: TrainConfig) -> PpoConfig:
     unused = [name for name in asked.model_dump(exclude_none=True) if name not in used]
     if unused:
         print(f"{path}: {', '.join(unused)} not used here (docs/training.md)", file=sys.stderr)
-    return train.with_ppo(**changes).ppo
+    return train.with_ppo(**changes)
 
 
 def parse_actions(text: str) -> ActionSpace:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import os
+import math
 import statistics
 import threading
 import time
 from collections.abc import Iterator, MutableMapping, Sequence
-from dataclasses import dataclass, field, replace
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,25 +29,19 @@ from league.sim.records import World
 from league.track import files
 from league.track.track import Track, TrackSet
 
-TIME_LIMIT_S = 5.0
-"""Longest call, as in the original's validator [s]."""
+TIME_LIMIT_S = 5.0  # Longest call, as in the original's validator [s].
 
 
 @dataclass(frozen=True)
 class DriveReport:
     """How a reward file did on one drive."""
 
-    title: str
-    """What the drive shows."""
+    title: str  # What the drive shows.
     kind: str
-    calls: int
-    """Steps rewarded."""
-    rewards: tuple[float, ...]
-    """Reward of each step, up to the first failure."""
-    failure: str | None
-    """Where and how it failed, or None."""
-    median_us: float
-    """Median time of a call [us], the user's own code alone."""
+    calls: int  # Steps rewarded.
+    rewards: tuple[float, ...]  # Reward of each step, up to the first failure.
+    failure: str | None  # Where and how it failed, or None.
+    median_us: float  # Median time of a call [us], the user's own code alone.
 
     @property
     def mean(self) -> float:
@@ -59,12 +55,9 @@ class Report:
 
     source: RewardFile
     drives: tuple[DriveReport, ...]
-    keys: tuple[str, ...]
-    """Keys of `params` it has read, by name."""
-    unknown_keys: tuple[str, ...]
-    """Keys it has asked for that do not exist."""
-    warnings: tuple[str, ...]
-    """Advice."""
+    keys: tuple[str, ...]  # Keys of `params` it has read, by name.
+    unknown_keys: tuple[str, ...]  # Keys it has asked for that do not exist.
+    warnings: tuple[str, ...]  # Advice.
 
     @property
     def needs_objects(self) -> bool:
@@ -109,73 +102,57 @@ class _Watched(dict[str, Any]):
     items, values = MutableMapping.items, MutableMapping.values  # type: ignore
 
 
-@dataclass
-class _Progress:
-    """State of the thread that runs the user's code."""
+class _Trial(Future["Report"]):
+    """What the thread that runs the user's code has found, and when its last call began."""
 
-    call_began: float = field(default_factory=time.monotonic)
-    report: Report | None = None
-    error: BaseException | None = None
+    call_began = math.inf
 
 
 def check(
-    path: str | os.PathLike[str],
-    *,
-    kind: RaceKind | None = None,
-    time_limit_s: float = TIME_LIMIT_S,
+    path: Path, *, kind: RaceKind | None = None, time_limit_s: float = TIME_LIMIT_S
 ) -> Report:
-    """Try a reward file on scripted drives.
+    """Try a reward file on scripted drives of one kind of race; None: of every kind.
 
-    Args:
-        path: the file.
-        kind: of race it is written for; None: every kind.
-        time_limit_s: longest time of one call [s].
-
-    Raises:
-        RewardError: the file cannot be read or loaded, or a call takes too long.
+    RewardError if the file cannot be read or loaded, or a call takes more than `time_limit_s` [s].
     """
-    source = RewardFile.read(path)
+    source, trial = RewardFile.read(path), _Trial()
     recorded = [drive for drive in drives() if kind in (None, drive.kind)]
-    progress = _Progress()
 
     def work() -> None:
         try:
-            progress.report = _report(source, recorded, progress)
+            trial.set_result(_report(source, recorded, trial))
         except BaseException as error:
-            progress.error = error  # raised again by the thread that waits
+            trial.set_exception(error)  # raised again by the thread that waits
 
     thread = threading.Thread(target=work, daemon=True, name="reward")
-    progress.call_began = time.monotonic()
     thread.start()
-    while progress.report is None and progress.error is None:
+    while not trial.done():
         thread.join(0.02)
-        if thread.is_alive() and time.monotonic() - progress.call_began > time_limit_s:
+        if thread.is_alive() and time.monotonic() - trial.call_began > time_limit_s:
             assert thread.ident is not None
             error = stuck(str(source.path), thread.ident, time_limit_s)
             throw(thread.ident, Stopped)
             raise error
-    if progress.error is not None:
-        raise progress.error
-    assert progress.report is not None
-    return progress.report
+    return trial.result()
 
 
-def _report(source: RewardFile, recorded: Sequence[Drive], progress: _Progress) -> Report:
+def _report(source: RewardFile, recorded: Sequence[Drive], trial: _Trial) -> Report:
     read: set[str] = set()
+    trial.call_began = time.monotonic()
     function = source.instance()
-    tried = tuple(_try(source, function, drive, read, progress) for drive in recorded)
-    known = tuple(sorted(key for key in read if key in KEYS))
-    unknown = tuple(sorted(str(key) for key in read if key not in KEYS))
+    tried = tuple(_try(source, function, drive, read, trial) for drive in recorded)
+    known = tuple(sorted(read.intersection(KEYS)))
+    unknown = tuple(sorted(map(str, read.difference(KEYS))))
     return Report(source, tried, known, unknown, tuple(_warnings(tried, known, unknown)))
 
 
 def _try(
-    source: RewardFile, function: Function, drive: Drive, read: set[str], progress: _Progress
+    source: RewardFile, function: Function, drive: Drive, read: set[str], trial: _Trial
 ) -> DriveReport:
     rewards, times, failure = [], [], None
     for params in drive.params:
         watched, when = _Watched(params, read), f"{drive.title}, steps {params['steps']}"
-        progress.call_began = time.monotonic()
+        trial.call_began = time.monotonic()
         start = time.perf_counter()
         try:
             value = function(watched)
@@ -190,9 +167,8 @@ def _try(
             failure = str(source.failed(error, when, params))
             break
     median_us = 1e6 * statistics.median(times) if times else 0.0
-    return DriveReport(
-        drive.title, drive.kind, len(drive.params), tuple(rewards), failure, median_us
-    )
+    calls = len(drive.params)
+    return DriveReport(drive.title, drive.kind, calls, tuple(rewards), failure, median_us)
 
 
 def _warnings(
@@ -217,18 +193,13 @@ def _warnings(
         )
 
 
-_TRACK = "reinvent_2018"
-
-
 @dataclass(frozen=True)
 class Drive:
     """One scripted drive, as reward functions see it."""
 
-    title: str
-    """What it shows."""
+    title: str  # What it shows.
     kind: RaceKind
-    params: list[Params]
-    """Argument of the function, step by step."""
+    params: list[Params]  # Argument of the function, step by step.
 
 
 class _ParamsRecorder:
@@ -252,15 +223,12 @@ class _ParamsRecorder:
 
 def drives() -> tuple[Drive, ...]:
     """Return scripted drives of all kinds of races: about 700 steps, in a second or two."""
-    track = files.load(_TRACK)
+    track = files.load("reinvent_2018")
     other_way = track.mirrored()
     one_lap = replace(RULES["deepracer"], laps=1)
     alone = SimConfig(rules=one_lap)
-    boxes = SimConfig(
-        kind="obstacle_avoidance",
-        rules=one_lap,
-        obstacles=ObstacleConfig(count=3, places=((0.15, 1.0), (0.3, -1.0), (0.5, 0.0))),
-    )
+    three = ObstacleConfig(count=3, places=((0.15, 1.0), (0.3, -1.0), (0.5, 0.0)))
+    boxes = SimConfig(kind="obstacle_avoidance", rules=one_lap, obstacles=three)
     two = SimConfig(kind="head_to_head", num_cars=2, rules=one_lap)
     return (
         _drive("alone: a whole lap", track, alone, speeds=(2.0,)),
@@ -290,13 +258,11 @@ def _drive(
     env = RaceEnv(TrackSet(track), EnvConfig(sim=sim, mode="race"), seed=1, reward=recorder)
     observations = env.reset(seed=1)
     for number in range(15 * sim.step_hz):
-        actions = np.stack(
-            [
-                _follow(groups["state"], speed, lane, sim)
-                for groups, speed, lane in zip(observations, speeds, lanes, strict=False)
-            ],
-            axis=1,
-        )
+        steered = [
+            _follow(groups["state"], speed, lane, sim)
+            for groups, speed, lane in zip(observations, speeds, lanes, strict=False)
+        ]
+        actions = np.stack(steered, axis=1)
         if straight_on is not None and number >= straight_on:
             actions[..., 0] = 0.0
         verdict = env.step(actions).verdicts[0, paid]

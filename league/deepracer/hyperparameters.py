@@ -9,51 +9,34 @@ import os
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from league.deepracer.model_metadata import load_json, reason
 from league.errors import ConfigError, brief, first_problem, nearest_names
 
-_WORDS = {"mean squared error": "mse", "e_greedy": "e-greedy"}
-"""Other spellings of words in use."""
+_WORDS = {"mean squared error": "mse", "e_greedy": "e-greedy"}  # Other spellings of words in use.
+_KEYS = {"learning_rate": "lr", "entropy": "beta_entropy"}  # Other names of keys in use.
 
 
 class Hyperparameters(BaseModel):
     """The values of a hyperparameters.json."""
 
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False, loc_by_alias=False)
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
-    batch_size: int | None = Field(None, ge=1, le=8192)
-    """Samples in one minibatch."""
-    num_epochs: int | None = Field(None, ge=1, le=100)
-    """Passes over the collected samples."""
-    lr: float | None = Field(
-        None, ge=1e-8, le=0.1, validation_alias=AliasChoices("lr", "learning_rate")
-    )
-    beta_entropy: float | None = Field(
-        None, ge=0, le=1, validation_alias=AliasChoices("beta_entropy", "entropy")
-    )
-    """Weight of the entropy."""
-    discount_factor: float | None = Field(None, ge=0, le=1)
-    """Value of a reward one step later."""
-    loss_type: Literal["mse", "huber"] | None = None
-    """Loss of the value function."""
-    num_episodes_between_training: int | None = Field(None, ge=1, le=10_000)
-    """Episodes collected before each update."""
-    exploration_type: Literal["categorical", "e-greedy"] | None = None
-    """How discrete actions are explored."""
-    e_greedy_value: float | None = Field(None, ge=0, le=1)
-    """Share of random actions."""
-    epsilon_steps: int | None = Field(None, ge=1, le=10**9)
-    """Steps over which that share falls."""
-    stack_size: int | None = Field(None, ge=1, le=16)
-    """Frames seen at once; the original knows 1 only."""
-    term_cond_max_episodes: int | None = Field(None, ge=1, le=10**9)
-    """Stop after so many episodes."""
-    term_cond_avg_score: float | None = Field(None, ge=-1e9, le=1e9)
-    """Stop at this mean reward of an episode."""
-    sac_alpha: float | None = Field(None, ge=0, le=1)
-    """Weight of the entropy of SAC; read, but SAC is not trained here."""
+    batch_size: int | None = Field(None, ge=1, le=8192)  # Samples in one minibatch.
+    num_epochs: int | None = Field(None, ge=1, le=100)  # Passes over the collected samples.
+    lr: float | None = Field(None, ge=1e-8, le=0.1)  # Learning rate.
+    beta_entropy: float | None = Field(None, ge=0, le=1)  # Weight of the entropy.
+    discount_factor: float | None = Field(None, ge=0, le=1)  # Value of a reward one step later.
+    loss_type: Literal["mse", "huber"] | None = None  # Loss of the value function.
+    num_episodes_between_training: int | None = Field(None, ge=1, le=10_000)  # For one update.
+    exploration_type: Literal["categorical", "e-greedy"] | None = None  # Of discrete actions.
+    e_greedy_value: float | None = Field(None, ge=0, le=1)  # Share of random actions.
+    epsilon_steps: int | None = Field(None, ge=1, le=10**9)  # Steps over which that share falls.
+    stack_size: int | None = Field(None, ge=1, le=16)  # Frames seen at once; the original knows 1.
+    term_cond_max_episodes: int | None = Field(None, ge=1, le=10**9)  # Stop after so many episodes.
+    term_cond_avg_score: float | None = Field(None, ge=-1e9, le=1e9)  # Stop at this mean reward.
+    sac_alpha: float | None = Field(None, ge=0, le=1)  # Of SAC, which is not trained here.
 
     @field_validator("*", mode="before")
     @classmethod
@@ -81,26 +64,22 @@ NAMES = tuple(Hyperparameters.model_fields)
 
 
 def read(path: str | os.PathLike[str]) -> Hyperparameters:
-    """Return the values of a hyperparameters.json.
-
-    Raises:
-        ConfigError: there is no such file, a key is unknown, or a value out of range.
-    """
+    """Return the values of a hyperparameters.json; ConfigError if there is none, or a bad one."""
     return parse(load_json(path, "hyperparameters.json"), str(path))
 
 
 def parse(content: Mapping[str, Any], name: str = "hyperparameters") -> Hyperparameters:
-    """Return the values of a hyperparameters.json's object; errors begin with `name`.
+    """Return the values of a hyperparameters.json's object.
 
-    Raises:
-        ConfigError: a key is unknown, or a value out of range.
+    ConfigError, which begins with `name`, if a key is unknown, or a value out of range.
     """
-    for key in content:
-        if key not in (*NAMES, "learning_rate", "entropy"):
+    given = {_KEYS.get(key, key): value for key, value in content.items()}
+    for key in given:
+        if key not in NAMES:
             near = nearest_names(key, list(NAMES))
             raise ConfigError(f"{name}: {brief(key)} is no hyperparameter; {near}")
     try:
-        return Hyperparameters.model_validate(dict(content))
+        return Hyperparameters.model_validate(given)
     except ValidationError as error:
         first, key, _ = first_problem(error, "the file")
         if first["type"] not in ("greater_than_equal", "less_than_equal"):

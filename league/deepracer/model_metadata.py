@@ -34,10 +34,8 @@ _CAMERAS = {
 }
 _LIDARS = ("LIDAR", "SECTOR_LIDAR", "DISCRETIZED_SECTOR_LIDAR")
 _SECTORS = (1, 2, 4, 8, 16, 32, 64)
-_FASTEST_ASKED = 8.0
-"""Fastest speed of an action space in 2019 [m/s]."""
-_LIDAR_REACH = 1.0
-"""Range of the original's plain LIDAR [m]."""
+_FASTEST_ASKED = 8.0  # Fastest speed of an action space in 2019 [m/s].
+_LIDAR_REACH = 1.0  # Range of the original's plain LIDAR [m].
 MAX_BYTES = 1_000_000
 
 Number = Annotated[float, Field(strict=False, allow_inf_nan=False)]
@@ -47,18 +45,12 @@ Number = Annotated[float, Field(strict=False, allow_inf_nan=False)]
 class Metadata:
     """The content of a model_metadata.json."""
 
-    action_space: ActionSpace
-    """What the policy chooses from."""
-    sensors: SensorConfig
-    """What its car carries."""
-    version: str = "1"
-    """Version of the original's simulator, "1" to "6"; the physics here is the same for all."""
-    training_algorithm: Algorithm = "clipped_ppo"
-    """How it was trained; the league trains by clipped PPO only."""
-    neural_network: str = NETWORKS[0]
-    """Which of the original's networks; the league's training settings choose its own."""
-    notes: tuple[str, ...] = ()
-    """Differences between the file and what the league does."""
+    action_space: ActionSpace  # What the policy chooses from.
+    sensors: SensorConfig  # What its car carries.
+    version: str = "1"  # Of the original's simulator, "1" to "6"; the physics here is one for all.
+    training_algorithm: Algorithm = "clipped_ppo"  # How it was trained; here only by clipped PPO.
+    neural_network: str = NETWORKS[0]  # Which of the original's; training here has its own.
+    notes: tuple[str, ...] = ()  # Differences between the file and what the league does.
 
 
 class _Strict(BaseModel):
@@ -94,7 +86,7 @@ class _File(BaseModel):
     action_space_type: Literal["discrete", "continuous"] = "discrete"
     sensor: list[str] | None = None
     version: str | int | float | None = None
-    training_algorithm: str = "clipped_ppo"
+    training_algorithm: Algorithm = "clipped_ppo"
     neural_network: str = NETWORKS[0]
     lidar_config: _Lidar | None = None
 
@@ -108,19 +100,14 @@ class _ContinuousFile(_File):
 
 
 def read(path: str | os.PathLike[str]) -> Metadata:
-    """Return the content of a model_metadata.json.
-
-    Raises:
-        ConfigError: there is no such file, or it describes no model of the original.
-    """
+    """Return the content of a model_metadata.json; ConfigError if there is none, or a bad one."""
     return parse(load_json(path, "model_metadata.json"), str(path))
 
 
 def parse(content: Mapping[str, Any], name: str = "model_metadata") -> Metadata:
-    """Return the content of a model_metadata.json's object; errors begin with `name`.
+    """Return the content of a model_metadata.json's object.
 
-    Raises:
-        ConfigError: it describes no model of the original.
+    ConfigError, which begins with `name`, if it describes no model of the original.
     """
     kind = content.get("action_space_type", "discrete")
     # One of the two models, because pydantic would complain about both members of a union.
@@ -131,9 +118,7 @@ def parse(content: Mapping[str, Any], name: str = "model_metadata") -> Metadata:
             action_space=_action_space(file, kind),
             sensors=_sensors(file.sensor or ["observation"], file.lidar_config),
             version=_version(file),
-            training_algorithm=_one_of(  # type: ignore
-                "training_algorithm", file.training_algorithm, ("clipped_ppo", "sac")
-            ),
+            training_algorithm=file.training_algorithm,
             neural_network=_one_of("neural_network", file.neural_network, NETWORKS),
             notes=_notes(file),
         )
@@ -202,9 +187,8 @@ def _clipped(speed: float) -> float:
 
 
 def _notes(file: _DiscreteFile | _ContinuousFile) -> tuple[str, ...]:
-    space = file.action_space
+    space, notes = file.action_space, []
     speeds = [one.speed for one in space] if isinstance(space, list) else [space.speed.high]
-    notes = []
     if file.training_algorithm == "sac":
         notes.append("asks for sac; the league trains by clipped PPO")
     if max(speeds) > MAX_SPEED:
@@ -223,15 +207,15 @@ def _sensors(names: list[str], lidar: _Lidar | None) -> SensorConfig:
             f"most one lidar of {', '.join(_LIDARS)}"
         )
     camera = CameraConfig(width=160, height=120, eyes=_CAMERAS[cameras[0]])  # type: ignore
-    return SensorConfig(camera=camera, lidar=_scan(lidars[0], lidar) if lidars else None)
+    scan = _scan(lidars[0], lidar or _Lidar()) if lidars else None
+    return SensorConfig(camera=camera, lidar=scan)
 
 
-def _scan(name: str, config: _Lidar | None) -> LidarConfig:
+def _scan(name: str, config: _Lidar) -> LidarConfig:
     if name == "LIDAR":
         return LidarConfig(max_range=_LIDAR_REACH)
     if name == "SECTOR_LIDAR":
         return LidarConfig(form="sectors")
-    config = config or _Lidar()
     if config.num_sectors not in _SECTORS:
         raise ConfigError(
             f"lidar_config.num_sectors is {config.num_sectors}: give one of "
@@ -260,11 +244,7 @@ def _one_of(what: str, value: str, known: tuple[str, ...]) -> str:
 
 
 def load_json(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
-    """Return the object in one of DeepRacer's JSON files, named by its kind in errors.
-
-    Raises:
-        ConfigError: there is no such file, or no JSON object in it.
-    """
+    """Return the object in one of DeepRacer's JSON files, named by its kind in ConfigErrors."""
     path = Path(path)
     try:
         if path.stat().st_size > MAX_BYTES:

@@ -24,34 +24,12 @@ WAYPOINT_SPACING = 0.15
 """Wished distance between two waypoints [m]: the original's re:Invent 2018 has 119 on 17.7 m."""
 
 KEYS = (
-    "all_wheels_on_track",
-    "closest_objects",
-    "closest_waypoints",
-    "distance_from_center",
-    "heading",
-    "is_crashed",
-    "is_left_of_center",
-    "is_offtrack",
-    "is_reversed",
-    "object_in_camera",
-    "objects_distance",
-    "objects_distance_from_center",
-    "objects_heading",
-    "objects_left_of_center",
-    "objects_location",
-    "objects_speed",
-    "progress",
-    "projection_distance",
-    "sim_time",
-    "speed",
-    "steering_angle",
-    "steps",
-    "track_length",
-    "track_width",
-    "waypoints",
-    "x",
-    "y",
-)
+    "all_wheels_on_track", "closest_objects", "closest_waypoints", "distance_from_center",
+    "heading", "is_crashed", "is_left_of_center", "is_offtrack", "is_reversed", "object_in_camera",
+    "objects_distance", "objects_distance_from_center", "objects_heading", "objects_left_of_center",
+    "objects_location", "objects_speed", "progress", "projection_distance", "sim_time", "speed",
+    "steering_angle", "steps", "track_length", "track_width", "waypoints", "x", "y",
+)  # fmt: skip
 """Every key of `params`, by name."""
 
 Params = dict[str, object]
@@ -61,12 +39,9 @@ Point = tuple[float, float]
 class Rows(NamedTuple):
     """The params of some cars of some worlds."""
 
-    world: list[int]
-    """World of each row."""
-    car: list[int]
-    """Car of each row."""
-    params: list[Params]
-    """Argument of each row's function; no two share a list."""
+    world: list[int]  # World of each row.
+    car: list[int]  # Car of each row.
+    params: list[Params]  # Argument of each row's function; no two share a list.
 
 
 class ParamsBuilder:
@@ -80,16 +55,14 @@ class ParamsBuilder:
         """Set up for the paid cars; `restart` fits the memory to the worlds."""
         self._step_dt, self._cars = sim.step_dt, tuple(cars)
         self._body = _body(sim.car, CameraConfig())
-        self.memory = np.zeros((0, 0), params_kernels.MEMORY)
-        """Episodes so far, MEMORY records (num_worlds, num_cars)."""
+        self.memory = np.zeros((0, 0), params_kernels.MEMORY)  # (num_worlds, num_cars)
         self._to_note = False
         self._tracks: TrackSet | None = None
 
     def restart(self, begun: np.ndarray) -> None:
         """Begin an episode for these cars, bool, (num_worlds, num_cars).
 
-        Raises:
-            ConfigError: a paid car does not exist.
+        ConfigError if a paid car does not exist.
         """
         if self.memory.shape != begun.shape:
             missing = [car for car in self._cars if not 0 <= car < begun.shape[1]]
@@ -172,12 +145,9 @@ class Roads:
     A track's own waypoints are kept as they are; others are spaced evenly along the centreline.
     """
 
-    records: np.ndarray
-    """ROAD of each track."""
-    own_waypoints: np.ndarray
-    """Waypoints of the tracks that have their own [m], one track after another, (n, 2)."""
-    clockwise: list[bool]
-    """Whether each is driven clockwise."""
+    records: np.ndarray  # ROAD of each track.
+    own_waypoints: np.ndarray  # Of the tracks that have their own [m], one after another, (n, 2).
+    clockwise: list[bool]  # Whether each is driven clockwise.
     waypoints: tuple[list[Point], ...]
     """Each track's, in driving order; closed tracks repeat the first point as the last. A reward
     function gets a copy of the list; its points are tuples, which it cannot change."""
@@ -191,9 +161,8 @@ class Roads:
         records["lap"] = tracks.lap_length(np.arange(len(records)))
         waypoints = tuple(_waypoints(track) for track in tracks.tracks)
         records["steps"] = [len(points) - 1 for points in waypoints]
-        own = [
-            np.empty((0, 2)) if one.waypoints is None else one.waypoints for one in tracks.tracks
-        ]
+        none = np.empty((0, 2))
+        own = [none if one.waypoints is None else one.waypoints for one in tracks.tracks]
         count = np.array([len(each) for each in own])
         records["first_waypoint"] = np.where(count > 0, np.cumsum(count) - count, -1)
         return cls(
@@ -216,11 +185,7 @@ def _waypoints(track: Track) -> list[Point]:
 
 
 def _body(car: CarConfig, camera: CameraConfig) -> np.ndarray:
-    body = np.zeros(1, dtype=params_kernels.BODY)
-    body["nose"] = car.nose
-    body["half_base"], body["half_track"] = car.wheelbase / 2, car.wheel_track / 2
-    body["half_length"], body["half_width"] = car.length / 2, car.width / 2
-    body["eye_forward"], body["eye_up"] = camera.forward, camera.up
-    body["eye_dip"], body["eye_rise"] = math.cos(camera.pitch), math.sin(camera.pitch)
-    body["eye_tan"] = math.tan(camera.field_of_view / 2)
-    return body
+    half_sizes = (one / 2 for one in (car.wheelbase, car.wheel_track, car.length, car.width))
+    dip, rise = math.cos(camera.pitch), math.sin(camera.pitch)
+    eye = camera.forward, camera.up, dip, rise, math.tan(camera.field_of_view / 2)
+    return np.array([(car.nose, *half_sizes, *eye)], dtype=params_kernels.BODY)

@@ -17,21 +17,17 @@ from league.track.projection import project
 (DISTANCE, PROJECTION, WIDTH, LENGTH, PROGRESS, SIM_TIME, STEPS) = range(7, 14)
 (IS_LEFT, ALL_ON_ROAD, NONE_ON_ROAD, CRASHED) = range(14, 18)
 (TRACK, BEHIND, FOLLOWING, LAST_OBJECT, NEXT_OBJECT, SEES_NEXT) = range(18, 24)
-NUM_OWN = 24
-"""Columns about a car itself."""
+NUM_OWN = 24  # Columns about a car itself.
 
 (OBJECT_S, OBJECT_DISTANCE, OBJECT_HEADING, OBJECT_SPEED) = range(4)
 (OBJECT_X, OBJECT_Y, OBJECT_IS_LEFT) = range(4, 7)
-NUM_OF_OBJECT = 7
-"""Rows about each object."""
+NUM_OF_OBJECT = 7  # Rows about each object.
 
 f64 = np.float64
 _DEGREES = 180.0 / math.pi
 _BELOW_100 = math.nextafter(100.0, 0.0)
-_NEAR, _FAR = 0.2, 300.0
-"""Depths between which the original's camera looks [m]."""
-_HEIGHT = 0.2
-"""Assumed height of an object [m]: a car is 0.19, a box 0.25."""
+_NEAR, _FAR = 0.2, 300.0  # Depths between which the original's camera looks [m].
+_HEIGHT = 0.2  # Assumed height of an object [m]: a car is 0.19, a box 0.25.
 
 # Records, because each array or number that is passed costs a quarter of a microsecond.
 ROAD = np.dtype(
@@ -75,8 +71,7 @@ MEMORY = np.dtype(
 def note_starts(points, courses, roads, bodies, memory, before, worlds):
     """Note where the episodes of fresh cars begin; for the arguments see `build`.
 
-    Returns:
-        Whether there are cars left to note: those that stand a penalty or have finished.
+    Return whether there are cars left to note: those that stand a penalty or have finished.
     """
     left = False
     for w in range(memory.shape[0]):
@@ -112,20 +107,11 @@ def build(
 ):
     """Return the numbers for each paid car that stands no penalty and has not finished.
 
-    Args:
-        points: of the TrackSet.
-        courses: of the TrackSet.
-        roads: ROAD of each track, (num_tracks,).
-        bodies: BODY of all cars, (1,).
-        memory: MEMORY of each car, (num_worlds, num_cars); steps are counted in it, and a lap ends
-            an episode.
-        waypoints: those of all tracks that have their own, (n, 2) [m].
-        before: CAR records before the step, (num_worlds, num_cars).
-        after: CAR records after it.
-        obstacles: OBSTACLE records, (num_worlds, num_obstacles).
-        worlds: WORLD records, (num_worlds,).
-        verdicts: VERDICT records, (num_worlds, num_cars).
-        step_dt: duration of a step [s].
+    Of the TrackSet are `points` and `courses`; `waypoints`, (n, 2) [m], are those of all tracks
+    that have their own, `roads` ROAD of each track, and `bodies` BODY of all cars, (1,). Steps are
+    counted in `memory`, MEMORY of each car, and a lap ends an episode. As `memory`, (num_worlds,
+    num_cars) are CAR records `before` and `after` the step, and VERDICT records; OBSTACLE records
+    are (num_worlds, num_obstacles), WORLD records (num_worlds,). A step lasts `step_dt` [s].
 
     Returns:
         Of each car itself, float64 (num_rows, NUM_OWN), and of obstacles and all other cars, in
@@ -230,15 +216,9 @@ def _write_closest_objects(road, table, row):
 def closest_waypoints(waypoints, road, s, x, y):
     """Return the waypoint at or behind a place, and the next one; after the last comes 0.
 
-    A track's own waypoints are joined by straight lines, and the nearest point of these counts, as
-    in the original; those that are evenly spaced lie on the centreline.
-
-    Args:
-        waypoints: those of all tracks that have their own, (n, 2) [m].
-        road: ROAD of one track.
-        s: distance of the place along its centreline, in [0, length] [m].
-        x: of the place [m].
-        y: of the place [m].
+    A track's own `waypoints`, (n, 2) [m], are joined by straight lines, and the point of these that
+    is nearest to x and y [m] counts, as in the original. Those that are evenly spaced lie on the
+    centreline, along which the place is at s, in [0, length] [m]. `road` is ROAD of the track.
     """
     # The tiny share keeps a place right at a waypoint from falling behind it by rounding.
     if road.first_waypoint < 0:

@@ -27,12 +27,9 @@ from league.sim.records import NOBODY, VERDICT, World
 class Score:
     """The rewards of a recorded race."""
 
-    name: str
-    """Name of the reward."""
-    rewards: np.ndarray
-    """For each step and car, (num_steps, num_cars); 0 after a car's finish."""
-    raced: np.ndarray
-    """Steps each car raced before its finish, int64, (num_cars,)."""
+    name: str  # Name of the reward.
+    rewards: np.ndarray  # For each step and car, (num_steps, num_cars); 0 after a car's finish.
+    raced: np.ndarray  # Steps each car raced before its finish, int64, (num_cars,).
 
     @property
     def totals(self) -> np.ndarray:
@@ -41,11 +38,7 @@ class Score:
 
 
 def score(replay: Replay, reward: Reward, name: str) -> Score:
-    """Return what a reward, which should pay all cars, gives each car for each recorded step.
-
-    Raises:
-        RewardError: a user's function fails.
-    """
+    """Return what a reward of all cars gives for each step; RewardError if a function fails."""
     finished = _happened(replay, "finish").cumsum(axis=0) > 0
     raced = np.where(finished.any(axis=0), finished.argmax(axis=0), replay.num_frames - 1)
     steps = []
@@ -110,9 +103,8 @@ def _verdicts(replay: Replay) -> np.ndarray:
     for flag, kind in _FLAGS.items():
         verdicts[flag] = _happened(replay, kind)
     verdicts["lead_changed"] = _happened(replay, "lead_change").any(axis=1, keepdims=True)
-    verdicts["crashed"] = (verdicts["crashed_car"] != NOBODY) | (
-        verdicts["crashed_obstacle"] != NOBODY
-    )
+    for struck in hits.values():
+        verdicts["crashed"] |= verdicts[struck] != NOBODY
     for flag in ("off_track", "crashed", "immobilised", "reversed"):
         verdicts["mistake"] |= verdicts[flag]
     standing = replay.columns.penalty_s > 0
@@ -135,16 +127,11 @@ def _frame(replay: Replay, time_s: float) -> int:
     return min(round(time_s * replay.step_hz), replay.num_frames - 1)
 
 
-_SMOOTHED_S = 1.0
-"""Width of the running mean drawn over each step's reward [s]."""
+_SMOOTHED_S = 1.0  # Width of the running mean drawn over each step's reward [s].
 
 
 def draw(replay: Replay, scores: Sequence[Score], path: Path) -> None:
-    """Write a PNG with a column for each score: its reward by step above, the sum so far below.
-
-    Raises:
-        ReplayError: the file cannot be written.
-    """
+    """Write a PNG with a column for each score: its reward by step above, the sum so far below."""
     figure = figures.figure(6.4 * len(scores), 7.2)
     axes = figure.subplots(2, len(scores), sharex=True, squeeze=False)
     for column, score in enumerate(scores):
@@ -160,9 +147,8 @@ def draw(replay: Replay, scores: Sequence[Score], path: Path) -> None:
             # A dashed stretch is a penalty, which begins at a dot.
             standing = replay.columns.penalty_s[1 : 1 + len(rewards), car] > 0
             begins = standing & ~np.concatenate([[False], standing[:-1]])
-            bottom.plot(
-                times, np.where(standing, sums, np.nan), color="white", lw=2.2, ls=(0, (2, 2))
-            )
+            stood = np.where(standing, sums, np.nan)
+            bottom.plot(times, stood, color="white", lw=2.2, ls=(0, (2, 2)))
             bottom.plot(times[begins], sums[begins], "o", color=f"C{car}", markersize=5)
         top.set_title(score.name, loc="left", fontsize=13, fontweight="bold", color=INK, pad=10)
         top.set_ylabel("reward of a step\n(thick: mean over 1 s)", color=INK)
@@ -174,9 +160,8 @@ def draw(replay: Replay, scores: Sequence[Score], path: Path) -> None:
             axis.set_axisbelow(True)
             figures.strip(axis, keep=("bottom",))
             axis.set_xlim(0.0, max(replay.duration_s, 1e-3))
-    title = replay.spec.title
-    note = "dots: a penalty begins, its stretch is dashed"
-    figure.suptitle(f"{title}   ·   {note}", x=0.01, ha="left", fontsize=10, color="#6b7280")
+    title = f"{replay.spec.title}   ·   dots: a penalty begins, its stretch is dashed"
+    figure.suptitle(title, x=0.01, ha="left", fontsize=10, color="#6b7280")
     figures.save(figure, path, "the plot", ReplayError, dpi=120)
 
 

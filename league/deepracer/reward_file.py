@@ -7,6 +7,7 @@ never runs files of others.
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import inspect
 import io
 import itertools
@@ -16,7 +17,6 @@ import os
 import re
 import sys
 import time
-import tokenize
 import traceback
 import weakref
 from collections import deque
@@ -38,26 +38,19 @@ from league.sim.records import World
 from league.track.track import TrackSet
 
 NAME = "reward_function"
-LARGE = 1e5
-"""Rewards beyond this are noted: the original's documentation promises to learn up to here."""
-LARGEST = float(np.finfo(np.float32).max)
-"""Larger rewards are infinite: the league learns in single precision."""
-MAX_CHARACTERS = 140_000
-"""Longest file, as in the original."""
-KEPT_LINES = 200
-"""Printed lines kept, the latest."""
-_LONGEST_LINE = 2000
-"""Characters kept of a printed line."""
+LARGE = 1e5  # Rewards beyond are noted: the original promises to learn up to here.
+LARGEST = float(np.finfo(np.float32).max)  # Larger ones are infinite in single precision.
+MAX_CHARACTERS = 140_000  # Longest file, as in the original.
+KEPT_LINES = 200  # Printed lines kept, the latest.
+_LONGEST_LINE = 2000  # Characters kept of a printed line.
 
-TERM = "user"
-"""Name under which the reward is logged."""
+TERM = "user"  # Name under which the reward is logged.
 
 Function = Callable[[dict[str, Any]], object]
 
 _MODULE_NUMBERS = itertools.count()
 _LOG = logging.getLogger("league")
-_TIMED_CALLS = 300
-"""Calls after which their share of the run's time is looked at."""
+_TIMED_CALLS = 300  # Calls after which their share of the run's time is looked at.
 
 
 class Prints:
@@ -72,21 +65,14 @@ class Prints:
         """The last lines, including one that has not ended yet."""
         return (*self._lines, *([self._begun] if self._begun else []))
 
-    def keep(
-        self,
-        *values: object,
-        sep: str | None = " ",
-        end: str | None = "\n",
-        file: object = None,
-        flush: bool = False,
-    ) -> None:
+    def keep(self, *values: object, file: Any = None, **settings: Any) -> None:  # noqa: ANN401
         """Replace `print`; output to a file of the user's own still goes there."""
-        text = (" " if sep is None else sep).join(map(str, values))
-        text += "\n" if end is None else end
-        if file is not None and file not in (sys.stdout, sys.stderr):
-            print(text, end="", file=file, flush=flush)  # type: ignore
+        if file not in (None, sys.stdout, sys.stderr):
+            print(*values, file=file, **settings)
             return
-        *whole, begun = (self._begun + text).split("\n")
+        text = io.StringIO()
+        print(*values, file=text, **settings)
+        *whole, begun = (self._begun + text.getvalue()).split("\n")
         self._lines.extend(line[:_LONGEST_LINE] for line in whole[-KEPT_LINES:])
         self._begun = begun[:_LONGEST_LINE]
 
@@ -95,24 +81,15 @@ class Prints:
 class RewardFile:
     """A reward file, compiled."""
 
-    path: Path
-    """Where it was read from."""
-    text: str
-    """Its content."""
-    digest: str
-    """SHA-256 of the file, hexadecimal."""
-    code: CodeType
-    """Run once for each car."""
-    prints: Prints = field(default_factory=Prints)
-    """The last lines it has printed."""
+    path: Path  # Where it was read from.
+    text: str  # Its content.
+    digest: str  # SHA-256 of the file, hexadecimal.
+    code: CodeType  # Run once for each car.
+    prints: Prints = field(default_factory=Prints)  # The last lines it has printed.
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> RewardFile:
-        """Read and compile a file.
-
-        Raises:
-            RewardError: there is no such file, or it is too long, not text, or not Python.
-        """
+        """Read and compile a file; RewardError if it is missing, too long, or not Python."""
         path = Path(path)
         content, text = _text(path)
         return _compiled(path, text, hashlib.sha256(content).hexdigest(), Prints())
@@ -122,11 +99,7 @@ class RewardFile:
         return _compiled, (self.path, self.text, self.digest, self.prints)
 
     def instance(self) -> Function:
-        """Run the file in a new module and return its reward function.
-
-        Raises:
-            RewardError: the file fails, or has no function of one parameter.
-        """
+        """Run the file in a new module; return its function, or RewardError if it has none."""
         module = ModuleType(f"{NAME}_{next(_MODULE_NUMBERS)}")
         module.__file__ = str(self.path)
         vars(module)["print"] = self.prints.keep
@@ -155,11 +128,7 @@ class RewardFile:
         return RewardError(f"{self.path}, line {line}: {what} ({when}){hint}")
 
     def number(self, function: Function, value: object, when: str) -> float:
-        """Return the value as a float.
-
-        Raises:
-            RewardError: it is no number, NaN or infinite.
-        """
+        """Return the value as a float; RewardError if it is no number, NaN or infinite."""
         try:
             # An array of one number is one, as it was with the numpy of the original.
             one = value.item() if getattr(value, "size", None) == 1 else value  # type: ignore
@@ -169,9 +138,14 @@ class RewardFile:
         if -LARGEST <= number <= LARGEST:
             return number
         raise RewardError(
-            f"{self.path}, line {_first_line(function)}: {NAME} returned {brief(value)} "
-            f"({when}): return a finite number, best one of about 1"
+            f"{self._place(function)} returned {brief(value)} ({when}): return a finite number, "
+            "best one of about 1"
         )
+
+    def _place(self, function: object) -> str:
+        """Return where a function begins, and its name."""
+        line = getattr(getattr(function, "__code__", None), "co_firstlineno", 1)
+        return f"{self.path}, line {line}: {NAME}"
 
     def _hint(self, error: BaseException, line: int, params: Mapping[str, object] | None) -> str:
         """Return the usual remedy for this error, or nothing."""
@@ -201,20 +175,16 @@ class RewardFile:
             signature = inspect.signature(function)
         except (TypeError, ValueError):
             return function
-        parameters, line = signature.parameters, _first_line(function)
-        if "on_track" in parameters:
+        takes = f"{self._place(function)} takes {len(signature.parameters)} parameters"
+        if "on_track" in signature.parameters:
             raise RewardError(
-                f"{self.path}, line {line}: {NAME} takes {len(parameters)} parameters, the "
-                "positional signature of November 2018, which is no longer used: take one dict, "
-                f"`def {NAME}(params):`"
+                f"{takes}, the positional signature of November 2018, which is no longer used: "
+                f"take one dict, `def {NAME}(params):`"
             )
         try:
             signature.bind({})
         except TypeError:
-            raise RewardError(
-                f"{self.path}, line {line}: {NAME} takes {len(parameters)} parameters: it must "
-                f"take one, `def {NAME}(params):`"
-            ) from None
+            raise RewardError(f"{takes}: it must take one, `def {NAME}(params):`") from None
         return function
 
 
@@ -231,19 +201,13 @@ def _compiled(path: Path, text: str, digest: str, prints: Prints) -> RewardFile:
     return RewardFile(path, text, digest, code, prints)
 
 
-def _first_line(function: object) -> int:
-    return getattr(getattr(function, "__code__", None), "co_firstlineno", 1)
-
-
 def _text(path: Path) -> tuple[bytes, str]:
     """Return a file's bytes, and its text in the encoding that its first lines name."""
     try:
         with path.open("rb") as file:
             content = file.read(4 * MAX_CHARACTERS + 1)  # a pipe may never end
-        if len(content) > 4 * MAX_CHARACTERS:
-            raise _too_long(path, "more than 500,000")
-        encoding, _ = tokenize.detect_encoding(io.BytesIO(content).readline)
-        text = io.TextIOWrapper(io.BytesIO(content), encoding).read()
+        endless = len(content) > 4 * MAX_CHARACTERS
+        text = "" if endless else importlib.util.decode_source(content)
     except FileNotFoundError:
         raise RewardError(
             f"there is no reward file {path}: give the path of a Python file that defines {NAME}"
@@ -252,15 +216,12 @@ def _text(path: Path) -> tuple[bytes, str]:
         raise RewardError(f"{path} is not UTF-8 text: give a Python file") from error
     except OSError as error:
         raise RewardError(f"{path} cannot be read: {error.strerror}") from error
-    if len(text) > MAX_CHARACTERS:
-        raise _too_long(path, f"{len(text):,}")
+    if endless or len(text) > MAX_CHARACTERS:
+        count = "more than 500,000" if endless else f"{len(text):,}"
+        raise RewardError(
+            f"{path} has {count} characters: a reward file has at most {MAX_CHARACTERS:,}"
+        )
     return content, text
-
-
-def _too_long(path: Path, count: str) -> RewardError:
-    return RewardError(
-        f"{path} has {count} characters: a reward file has at most {MAX_CHARACTERS:,}"
-    )
 
 
 class UserReward:
@@ -280,11 +241,7 @@ class UserReward:
         *,
         time_limit_s: float = TIME_LIMIT_S,
     ) -> None:
-        """Run the file once for each paid car; a call may last `time_limit_s` at most.
-
-        Raises:
-            RewardError: the file fails, or takes too long.
-        """
+        """Run the file once for each paid car; RewardError if it fails or takes `time_limit_s`."""
         self.source, self.cars = source, tuple(cars)
         self._builder = ParamsBuilder(sim, cars)
         self._large = False
@@ -326,8 +283,7 @@ class UserReward:
     ) -> Paid:
         """Return each car's reward, (num_worlds, num_cars), and its only term; see Reward.
 
-        Raises:
-            RewardError: the user's code fails, takes too long, or returns no finite number.
+        RewardError if the user's code fails, takes too long, or returns no finite number.
         """
         rows = self._builder.rows(tracks, before, world, verdicts)
         rewards = np.zeros(verdicts.shape, dtype=np.float32)
@@ -367,12 +323,13 @@ class UserReward:
             raise self.source.failed(error, _when(world, car, steps), params) from error
         if type(value) is float and -LARGE <= value <= LARGE:
             return value
-        number = self.source.number(function, value, _when(world, car, steps))
+        when = _when(world, car, steps)
+        number = self.source.number(function, value, when)
         if abs(number) > LARGE and not self._large:
             self._large = True
             _LOG.warning(
                 "%s returned %g (%s): rewards beyond %g are hard to learn from, aim at about 1",
-                *(self.source.path, number, _when(world, car, steps), LARGE),
+                *(self.source.path, number, when, LARGE),
             )
         return number
 
@@ -388,15 +345,12 @@ def user_reward(
     *,
     sim: SimConfig | None = None,
 ) -> UserReward:
-    """Return the reward of a DeepRacer reward file.
+    """Return the reward of a DeepRacer reward file, which defines `reward_function(params)`.
 
     Args:
-        path: a Python file that defines `reward_function(params)`.
+        path: of the file; RewardError if it cannot be read, is not Python, or fails.
         num_worlds: races in the batch.
         cars: the paid cars; all others get 0.
         sim: the world's settings, as of the RaceEnv; None: the usual car, 15 steps per second.
-
-    Raises:
-        RewardError: the file cannot be read, is not Python, fails, or has no such function.
     """
     return UserReward(RewardFile.read(path), sim or SimConfig(), num_worlds, cars)

@@ -7,26 +7,24 @@ import signal
 import sys
 import threading
 import weakref
+from collections.abc import Iterator
 from types import FrameType, TracebackType
 
 from league.errors import RewardError
 
-TIME_LIMIT_S = 20.0
-"""Longest call while a car learns or a race is scored [s]: the first may load a large library."""
+TIME_LIMIT_S = 20.0  # Longest call in training and scoring [s]: the first may load a large library.
 _LOOKS = 10
 """Looks at a call within its time limit. Looks are counted instead of seconds, because a machine
 that sleeps or a program that its terminal has stopped takes none."""
 
-_WAKE = getattr(signal, "SIGURG", None)
-"""A signal that does nothing by itself; Windows has none."""
+_WAKE = getattr(signal, "SIGURG", None)  # A signal that does nothing by itself; Windows has none.
 
 
 class Stopped(BaseException):
     """Thrown into the thread that runs the user's code, to end it."""
 
 
-NOT_ITS_OWN = (KeyboardInterrupt, Stopped)
-"""Exceptions that leave the user's code without being its fault."""
+NOT_ITS_OWN = (KeyboardInterrupt, Stopped)  # What leaves the user's code without being its fault.
 
 
 class Watchdog:
@@ -59,11 +57,7 @@ class Watchdog:
     def __exit__(
         self, kind: type[BaseException] | None, value: object, trace: TracebackType | None
     ) -> None:
-        """Watch no longer.
-
-        Raises:
-            RewardError: a call took too long.
-        """
+        """Watch no longer; RewardError if a call took too long."""
         try:
             self._busy = False
             if self._error is not None:
@@ -115,29 +109,25 @@ def _watch(reference: weakref.ref[Watchdog], over: threading.Event, pause_s: flo
 
 def stuck(path: str, thread: int, limit_s: float) -> RewardError:
     """Return the error for a thread that is still in a call of the user's file."""
-    frame, line = _frame(thread), None
-    while frame is not None and line is None:
-        if frame.f_code.co_filename == path:
-            line = frame.f_lineno
-        frame = frame.f_back
+    lines = (one.f_lineno for one in _frames(thread) if one.f_code.co_filename == path)
+    line = next(lines, None) or 1
     return RewardError(
-        f"{path}, line {line or 1}: still running after {limit_s:g} s: a call must return at "
+        f"{path}, line {line}: still running after {limit_s:g} s: a call must return at "
         "once, look for a loop that does not end, or a sleep or input"
     )
 
 
-def _frame(thread: int) -> FrameType | None:
-    return sys._current_frames().get(thread)  # pyright: ignore[reportPrivateUsage]
-
-
 def is_debugged(thread: int) -> bool:
     """Return whether a debugger steps through the thread."""
-    frame = _frame(thread)
+    return any(frame.f_globals.get("__name__") == "bdb" for frame in _frames(thread))
+
+
+def _frames(thread: int) -> Iterator[FrameType]:
+    """Yield the frames of a thread, the innermost first."""
+    frame = sys._current_frames().get(thread)  # pyright: ignore[reportPrivateUsage]
     while frame is not None:
-        if frame.f_globals.get("__name__") == "bdb":
-            return True
+        yield frame
         frame = frame.f_back
-    return False
 
 
 def _wake(thread: int) -> None:

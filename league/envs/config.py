@@ -94,28 +94,23 @@ class Scenarios(Checked, what="scenarios"):
 class EnvConfig(Checked, what="environment"):
     """Everything a RaceEnv needs but its tracks and its seed."""
 
-    sim: SimConfig = field(default_factory=SimConfig)
-    """The world."""
-    solver: SolverName = "planar"
-    """Physics: rigid bodies (bullet) or motion in the plane (planar)."""
-    sensors: tuple[SensorConfig, ...] = (SensorConfig(),)
-    """What each car carries; one entry serves all cars."""
+    sim: SimConfig = field(default_factory=SimConfig)  # the world
+    solver: SolverName = "planar"  # rigid bodies (bullet) or motion in the plane (planar)
+    sensors: tuple[SensorConfig, ...] = (SensorConfig(),)  # of each car; one entry serves all cars
+    # compiled painting on the CPU, or torch ray casting on any device
     camera_path: Literal["paint", "ray"] = "paint"
-    """Compiled painting on the CPU, or torch ray casting on any device."""
+    # light, colour, noise and blur drawn for each race; None: the plain picture
     looks: VisualRandomization | None = None
-    """Light, colour, noise and blur drawn for each race; None: the plain picture."""
+    # in a race a mistake costs penalty seconds; in training it ends the car's episode
     mode: Literal["race", "training"] = "race"
-    """In a race a mistake costs penalty seconds; in training it ends the car's episode."""
-    reward: RewardConfig = field(default_factory=RewardConfig)
-    """Weights of the reward terms."""
-    episode_s: float = ranged(60.0, 0.001, 1e6)
-    """Longest episode in training [s]."""
+    reward: RewardConfig = field(default_factory=RewardConfig)  # weights of the reward terms
+    episode_s: float = ranged(60.0, 0.001, 1e6)  # longest episode in training [s]
+    # cars that start their next episode by themselves, in training; None: all. Any other car is
+    # frozen where its episode ended, without contacts, until its world is reset
     restarting: tuple[int, ...] | None = None
-    """Cars that start their next episode by themselves, in training; None: all. Any other car is
-    frozen where its episode ended, without contacts, until its world is reset."""
+    # situations in which the cars meet, in training; None: each car begins its episodes on a free
+    # stretch anywhere
     scenarios: Scenarios | None = None
-    """Situations in which the cars meet, in training; None: each car begins its episodes on a free
-    stretch anywhere."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

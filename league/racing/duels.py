@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from league.agents.driver import Driver
 from league.agents.rollout import DriverPool, Rollout
 from league.envs.config import EnvConfig
+from league.envs.driver import Driver
 from league.envs.race_env import RaceEnv
 from league.envs.rewards import NEAR
 from league.errors import ConfigError
@@ -47,34 +47,15 @@ class DuelConfig:
 class Duels:
     """Results of many races of an attacker that starts behind a defender."""
 
-    races: int
-    """Races driven."""
-    passed: float
-    """Share of races in which the attacker finished ahead of all."""
-    clean: float
-    """Share in which it did, without a contact to blame for or leaving the road."""
-    held: float
-    """Share in which the defender finished ahead, without a contact to blame for."""
-    places: float
-    """Mean number of places that the attacker gained."""
-    near_km: float
-    """Distance the attacker drove within 1.5 m of another car [km]."""
-    contacts: int
-    """Contacts the attacker was to blame for."""
-    hard_contacts: int
-    """Those hard enough for a penalty: from 0.3 m/s of closing speed on."""
-    off_tracks: int
-    """How often the attacker left the road."""
-
-    @property
-    def contacts_per_km(self) -> float:
-        """Contacts that the attacker was to blame for, for each km driven near others."""
-        return self.contacts / max(self.near_km, 1e-9)
-
-    @property
-    def hard_contacts_per_km(self) -> float:
-        """Hard ones, likewise."""
-        return self.hard_contacts / max(self.near_km, 1e-9)
+    races: int  # races driven
+    passed: float  # share of races in which the attacker finished ahead of all
+    clean: float  # share in which it did, without a contact to blame for or leaving the road
+    held: float  # share in which the defender finished ahead, without a contact to blame for
+    places: float  # mean number of places that the attacker gained
+    near_km: float  # distance the attacker drove within 1.5 m of another car [km]
+    contacts: int  # contacts the attacker was to blame for
+    hard_contacts: int  # those hard enough for a penalty: from 0.3 m/s of closing speed on
+    off_tracks: int  # how often the attacker left the road
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from league.agents.driver import Driver
 from league.agents.rollout import DriverPool, Rollout
 from league.envs.config import EnvConfig
+from league.envs.driver import Driver
 from league.envs.race_env import RaceEnv, Step
 from league.envs.rewards import BuiltIn, Paid, Reward
 from league.errors import ConfigError, brief
@@ -33,8 +33,7 @@ START_SPEED = 0.5
 the variation."""
 WORLDS_AT_ONCE = 32
 """Runs driven in one batch; a driver's numbers are the same alone and in a batch."""
-_ATTEMPT = 401
-"""Purpose of the random numbers that seed the attempts of a run after its first."""
+_ATTEMPT = 401  # purpose of the random numbers that seed the attempts of a run after its first
 MISTAKES: dict[str, Status] = {
     "off_track": "off_track",
     "crashed": "crashed",
@@ -48,18 +47,12 @@ MISTAKES: dict[str, Status] = {
 class TrialStep:
     """Progress of one run after a step."""
 
-    run: int
-    """Number of the run, over all batches."""
-    row: int
-    """World of the batch."""
-    trial: int
-    """Number of the trial within its run, from 0."""
-    step: int
-    """Steps since the trial began, from 1."""
-    status: str
-    """"in_progress", "pause" during a penalty, a mistake's name, or how the trial ended."""
-    done: bool
-    """Whether the trial ended in this step."""
+    run: int  # number of the run, over all batches
+    row: int  # world of the batch
+    trial: int  # number of the trial within its run, from 0
+    step: int  # steps since the trial began, from 1
+    status: str  # "in_progress", "pause" during a penalty, a mistake's name, or how the trial ended
+    done: bool  # whether the trial ended in this step
 
 
 @dataclass(frozen=True)
@@ -68,20 +61,15 @@ class EvalStep:
 
     tracks: TrackSet
     sim: SimConfig
-    before: ndarray
-    """CAR records before the step, (num_worlds, num_cars)."""
+    before: ndarray  # CAR records before the step, (num_worlds, num_cars)
+    # the worlds as the referee and the reward saw them, before any penalty moved a car
     judged: World
-    """The worlds as the referee and the reward saw them, before any penalty moved a car."""
-    world: World
-    """The worlds after the step: cars that crashed have been put back."""
-    step: Step
-    """Observations, rewards and verdicts of the step."""
-    trials: tuple[TrialStep, ...]
-    """The runs that are still under way."""
+    world: World  # the worlds after the step: cars that crashed have been put back
+    step: Step  # observations, rewards and verdicts of the step
+    trials: tuple[TrialStep, ...]  # the runs that are still under way
 
 
-EvalCallback = Callable[[EvalStep], None]
-"""Called after each step; it cannot change it."""
+EvalCallback = Callable[[EvalStep], None]  # called after each step; it cannot change it
 
 
 def evaluate(
@@ -233,20 +221,15 @@ class _WorldRecorder:
 class StepRecord:
     """A step of the evaluated car of one world."""
 
-    mistakes: tuple[str, ...]
-    """The referee's flags that are set, of MISTAKES."""
-    lap: bool
-    """Whether it completed a lap."""
+    mistakes: tuple[str, ...]  # the referee's flags that are set, of MISTAKES
+    lap: bool  # whether it completed a lap
     truncated: bool
-    paused: bool
-    """Whether it served a penalty before the step."""
+    paused: bool  # whether it served a penalty before the step
     penalty_s: float
-    lap_s: float
-    """Time of the last complete lap [s]."""
-    elapsed_s: float
-    """Time since this lap began [s]."""
+    lap_s: float  # time of the last complete lap [s]
+    elapsed_s: float  # time since this lap began [s]
+    # part of the lap that was driven, from 0 to 1, beyond it by rounding or behind the line
     share: float
-    """Part of the lap that was driven, from 0 to 1, beyond it by rounding or behind the line."""
     place: int
 
 

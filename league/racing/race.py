@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from league.agents.driver import Driver
 from league.agents.rollout import DriverPool, Rollout
 from league.envs.config import EnvConfig, RewardConfig
+from league.envs.driver import Driver
 from league.envs.race_env import Observations, RaceEnv, Step
 from league.envs.sensor_suite import SensorSuite
 from league.errors import ConfigError, PolicyError
@@ -25,8 +25,7 @@ from league.track.track import Track, TrackSet
 if TYPE_CHECKING:
     from league.replay import Replay
 
-FAULTS_TO_END = 25
-"""Answers in a row that are no action, after which a driver's race is over."""
+FAULTS_TO_END = 25  # answers in a row that are no action, after which a driver's race is over
 
 _UNPAID = RewardConfig(progress=0.0, off_track=0.0, crash=0.0)
 
@@ -38,27 +37,22 @@ WorldCallback = Callable[[World], None]
 class RaceJob:
     """A race to run."""
 
-    spec: RaceSpec
-    """All that decides it."""
-    track: Track | None = None
-    """The course, if it is not one that ships under the spec's name."""
+    spec: RaceSpec  # all that decides it
+    track: Track | None = None  # the course, if it is not one that ships under the spec's name
+    # the drivers in grid order; by default loaded by the entries' names
     drivers: Sequence[Driver] | None = None
-    """The drivers in grid order; by default loaded by the entries' names."""
-    record: bool = True
-    """Whether to keep a replay; it changes nothing in the race."""
+    record: bool = True  # whether to keep a replay; it changes nothing in the race
     watch: WorldCallback | None = None
+    # called with each event of the log as it happens, before `watch` of that step
     listen: Callable[[Event], None] | None = None
-    """Called with each event of the log as it happens, before `watch` of that step."""
 
 
 @dataclass(frozen=True)
 class FinishedRace:
     """What a race leaves."""
 
-    result: RaceResult
-    """The classification."""
-    replay: Replay | None
-    """The race, step by step, if it was recorded."""
+    result: RaceResult  # the classification
+    replay: Replay | None  # the race, step by step, if it was recorded
 
 
 def sim_config(spec: RaceSpec) -> SimConfig:

@@ -20,30 +20,19 @@ _SUMMARY = (
 class Trial(FrozenModel):
     """One lap, or one attempt at it."""
 
-    trial: int
-    """Number, from 1, over all runs."""
-    run: int
-    """Which run from the start line, from 0."""
-    seed: int
-    """Seed of the run: of obstacles, noise and variation."""
+    trial: int  # number, from 1, over all runs
+    run: int  # which run from the start line, from 0
+    seed: int  # seed of the run: of obstacles, noise and variation
+    # whether it began on the start line, at walking pace at most; otherwise it is a flying lap
     standing: bool
-    """Whether it began on the start line, at walking pace at most; otherwise it is a flying lap."""
-    status: Status
-    """How it ended."""
-    time_s: float
-    """How long it took, penalties included [s]."""
-    completion: float
-    """How much of the lap was driven [%], 0 to 100."""
-    off_tracks: int
-    """Times all four wheels left the road."""
-    crashes: int
-    """Contacts to blame for."""
-    immobilised: int
-    """Times standing still too long."""
-    reversed: int
-    """Times driving backwards too long."""
-    penalty_s: float
-    """Seconds of penalty, which `time_s` includes [s]."""
+    status: Status  # how it ended
+    time_s: float  # how long it took, penalties included [s]
+    completion: float  # how much of the lap was driven [%], 0 to 100
+    off_tracks: int  # times all four wheels left the road
+    crashes: int  # contacts to blame for
+    immobilised: int  # times standing still too long
+    reversed: int  # times driving backwards too long
+    penalty_s: float  # seconds of penalty, which `time_s` includes [s]
 
     @property
     def complete(self) -> bool:
@@ -64,28 +53,19 @@ class Trial(FrozenModel):
 class Evaluation(FrozenModel):
     """All trials of an evaluation."""
 
-    driver: str
-    """Name of the driver."""
-    track: str
-    """Name of the track."""
-    kind: RaceKind
-    """Kind of race."""
-    mode: Mode
-    """Whether a mistake costs seconds ("race") or ends the trial ("episode")."""
-    solver: SolverName
-    """Physics."""
-    laps: int
-    """Laps of each run."""
-    asked: int
-    """Trials that would have been driven had nothing gone wrong."""
-    seed: int
-    """Seed of the first run."""
+    driver: str  # name of the driver
+    track: str  # name of the track
+    kind: RaceKind  # kind of race
+    mode: Mode  # whether a mistake costs seconds ("race") or ends the trial ("episode")
+    solver: SolverName  # physics
+    laps: int  # laps of each run
+    asked: int  # trials that would have been driven had nothing gone wrong
+    seed: int  # seed of the first run
+    # how far runs differ in start speed, grip, mass and steering; 0: not at all
     variation: float = 0.0
-    """How far runs differ in start speed, grip, mass and steering; 0: not at all."""
-    trials: tuple[Trial, ...]
-    """All trials that were begun, in order."""
+    trials: tuple[Trial, ...]  # all trials that were begun, in order
+    # place from 1 at the end of each run, against other cars; otherwise empty
     places: tuple[int, ...]
-    """Place from 1 at the end of each run, against other cars; otherwise empty."""
 
     @property
     def complete_laps(self) -> int:

@@ -59,27 +59,17 @@ def mistakes(verdicts: ndarray) -> list[str]:
 class StepRows:
     """The columns of the CSV that follow from one step alone, for car 0 of each world."""
 
-    def __init__(self, space: ActionSpace | None = None) -> None:
+    def __init__(self, space: ActionSpace | None) -> None:
         """Prepare; column `action` holds a choice of a discrete space, or else two numbers."""
         self._space = space
         self._roads: Roads | None = None
 
     def of(
-        self,
-        tracks: TrackSet,
-        sim: SimConfig,
-        before: ndarray,
-        world: World,
-        rewards: ndarray,
+        self, tracks: TrackSet, sim: SimConfig, before: ndarray, world: World, rewards: ndarray
     ) -> list[dict[str, Any]]:
-        """Return a row for each world.
+        """Return a row for each world, which is after the step, before any penalty moved a car.
 
-        Args:
-            tracks: the courses.
-            sim: settings of the worlds.
-            before: CAR records before the step, (num_worlds, num_cars).
-            world: the worlds after it, before any penalty or restart moved a car.
-            rewards: of each car.
+        CAR records before the step, and the rewards of each car, are (num_worlds, num_cars).
         """
         if self._roads is None:
             self._roads = Roads.of(tracks)
@@ -143,20 +133,9 @@ class Trace:
         pauses = _plain(step.world.cars["penalty_s"][:, 0])
         for trial in step.trials:
             run = self._rows.setdefault(trial.run, [])
-            crashes = run[-1]["obstacle_crash_counter"] if trial.step > 1 else 0
+            row = rows[trial.row] | {"trial": trial.trial, "pause_duration": pauses[trial.row]}
             crash = bool(step.step.verdicts["crashed_obstacle"][trial.row, 0] != NOBODY)
-            run.append(
-                {
-                    **rows[trial.row],
-                    "trial": trial.trial,
-                    "steps": trial.step,
-                    "done": trial.done,
-                    "episode_status": trial.status,
-                    "pause_duration": pauses[trial.row],
-                    "obstacle_crash_counter": crashes + crash,
-                    **({"progress": 100.0} if trial.status == "lap_complete" else {}),
-                }
-            )
+            _add(run, row, trial.step, trial.status, crash, done=trial.done)
 
     def rows(self) -> list[dict[str, object]]:
         """Return all rows, run after run, with the columns of the CSV."""
@@ -178,6 +157,16 @@ class Trace:
     def write(self, path: str | os.PathLike[str]) -> Path:
         """Write the CSV, whole or not at all, and return its path."""
         return write_rows(Path(path), self.rows())
+
+
+def _add(
+    rows: list[dict[str, Any]], row: dict[str, Any], step: int, status: str, crash: bool, done: bool
+) -> None:
+    """Add a step of an episode to rows, its number from 1; `crash` is one with an obstacle."""
+    crashes = rows[-1]["obstacle_crash_counter"] if step > 1 else 0
+    ending = {"progress": 100.0} if status == "lap_complete" else {}
+    counted = {"steps": step, "done": done, "obstacle_crash_counter": crashes + crash}
+    rows.append({**row, **counted, "episode_status": status, **ending})
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> Path:
@@ -228,8 +217,7 @@ def _plain(values: ndarray) -> list[Any]:
     return values.tolist()
 
 
-EPISODES = 20
-"""Episodes of a file of training. Log tools count on the same number in each."""
+EPISODES = 20  # of a file of training: log tools count on the same number in each
 TRAINING = "training-simtrace"
 
 
@@ -272,8 +260,7 @@ class TrainingTrace:
     def __init__(self, reward: Reward, folder: Path, space: ActionSpace, sim: SimConfig) -> None:
         """Prepare; nothing is written before `flush`, or the end of the twentieth episode."""
         self._reward, self._folder, self._sim = reward, folder / TRAINING, sim
-        self.terms = reward.terms
-        """Names under which the other reward logs."""
+        self.terms = reward.terms  # names under which the other reward logs
         self._step_rows = StepRows(space)
         self._running: list[list[dict[str, Any]]] = []
         self._ended: list[list[dict[str, Any]]] = []
@@ -293,6 +280,7 @@ class TrainingTrace:
         now = {
             "tstamp": round(self._steps * self._sim.step_dt, 6),
             "wall_clock": round(time.time(), 3),
+            "pause_duration": 0.0,
         }
         rows = self._step_rows.of(tracks, self._sim, before.cars, world, paid[0])
         flags = mistakes(verdicts[:, 0])
@@ -301,20 +289,9 @@ class TrainingTrace:
         if not self._running:
             self._running = [[] for _ in rows]
         for number, (row, running) in enumerate(zip(rows, self._running, strict=True)):
-            crashes = running[-1]["obstacle_crash_counter"] if running else 0
-            running.append(
-                {
-                    **row,
-                    **now,
-                    "steps": len(running) + 1,
-                    "done": False,
-                    "episode_status": flags[number] or "in_progress",
-                    "pause_duration": 0.0,
-                    "obstacle_crash_counter": crashes + bool(crashed[number]),
-                }
-            )
+            status = "lap_complete" if laps[number] else flags[number] or "in_progress"
+            _add(running, row | now, len(running) + 1, status, bool(crashed[number]), laps[number])
             if laps[number]:
-                running[-1] |= {"progress": 100.0, "episode_status": "lap_complete"}
                 self._end(number)
         return paid
 

@@ -1,7 +1,7 @@
 """The fastest line round a track: pure functions of track and car.
 
-`optimal_line` seeks it (search.py) and works out the speed the car can hold on it
-(speed_profile.py). The same track and car give the same bits on every machine.
+`optimal_line` seeks it and works out the speed the car can hold on it (search.py). The same track
+and car give the same bits on every machine.
 """
 
 from __future__ import annotations
@@ -13,36 +13,28 @@ import numpy as np
 
 from league.jit import compiled, inner
 from league.portable_math import f32, heading_of
-from league.racing_line.search import fastest, sample
-from league.racing_line.speed_profile import CarLimits, speed_profile, travel_time
+from league.racing_line.search import CarLimits, fastest, sample, speed_profile, travel_time
 from league.sim.config import CarConfig
 from league.track.projection import frame_at
 from league.track.track import Track, TrackSet
 
-STEP = 0.03
-"""Wished distance between two rows of a finished line [m]."""
+STEP = 0.03  # wished distance between two rows of a finished line [m]
 
 
 @dataclass(frozen=True, eq=False)
 class RacingLine:
     """A line round a track with a speed at every point; all arrays float64, shape (N,)."""
 
+    # distance along the CENTRELINE [m], uniform from 0; a closed line does not repeat row 0
     s: np.ndarray
-    """Distance along the CENTRELINE [m], uniform from 0; a closed line does not repeat row 0."""
-    lateral: np.ndarray
-    """Place of the car's base to the left of the centreline [m]."""
-    heading: np.ndarray
-    """Direction of the line minus the heading of the track's frame there [rad]."""
-    curvature: np.ndarray
-    """Signed curvature of the line [1/m], positive to the left."""
-    speed: np.ndarray
-    """Speed along the line [m/s]."""
-    stretch: np.ndarray
-    """Metres of line for each metre of centreline."""
+    lateral: np.ndarray  # place of the car's base to the left of the centreline [m]
+    heading: np.ndarray  # direction of the line minus the heading of the track's frame there [rad]
+    curvature: np.ndarray  # signed curvature of the line [1/m], positive to the left
+    speed: np.ndarray  # speed along the line [m/s]
+    stretch: np.ndarray  # metres of line for each metre of centreline
+    # time of a flying lap [s]; on an open track, from end to end with a flying start
     lap_time: float
-    """Time of a flying lap [s]; on an open track, from end to end with a flying start."""
-    closed: bool
-    """Whether the line is a loop."""
+    closed: bool  # whether the line is a loop
 
 
 def optimal_line(
@@ -146,10 +138,6 @@ def _at(control, place):
     return value, start + u * (half + 0.5 * u * cubic), half + u * cubic
 
 
-_BOUND_SPACINGS = (0.08, 0.12, 0.15)
-"""Distances between control points [m] that `lap_bound` tries; the fastest line counts."""
-
-
 def lap_bound(track: Track, car: CarConfig) -> float:
     """Return the time no flying lap of this car can beat, as far as the search goes [s].
 
@@ -161,15 +149,9 @@ def lap_bound(track: Track, car: CarConfig) -> float:
     is a bound as good as the search, which agrees with itself to about 0.3 % when its grid is
     refined.
     """
-    times = [
-        optimal_line(
-            track,
-            car,
-            -car.wheel_track / 2,
-            load_transfer=False,
-            spacing=spacing,
-            curvature_rate=60.0,
-        ).lap_time
-        for spacing in _BOUND_SPACINGS
-    ]
-    return min(times)
+    wheel = -car.wheel_track / 2
+    lines = (
+        optimal_line(track, car, wheel, load_transfer=False, spacing=spacing, curvature_rate=60.0)
+        for spacing in (0.08, 0.12, 0.15)
+    )
+    return min(line.lap_time for line in lines)

@@ -11,19 +11,10 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from league.atomic_file import replacing
-from league.errors import ReplayError, TrackError, explaining, first_problem
+from league.atomic_file import read_plain, replacing
+from league.errors import ReplayError, TrackError, first_problem
 from league.race_spec import RaceResult, of_older_version
-from league.replay.replay import (
-    GRAINS,
-    NUM_ACTIONS,
-    PARAMETERS,
-    Columns,
-    Grain,
-    Replay,
-    from_whole,
-    to_whole,
-)
+from league.replay.replay import GRAINS, PARAMETERS, Columns, Grain, Replay, from_whole, to_whole
 from league.sim.config import MAX_CARS
 from league.track import files
 
@@ -34,14 +25,10 @@ VERSION = 2
 PREFIX = struct.Struct("<8sHHIII")
 """Magic, version, zero, bytes of header, bytes of body, CRC-32 of header and body."""
 
-MAX_FILE = 64 * 2**20
-"""Largest file read [bytes]; the longest race allowed takes about 50 MB."""
-MAX_HEADER = 16 * 2**20
-"""Largest header, unpacked [bytes]."""
-MAX_BODY = 256 * 2**20
-"""Largest body, unpacked [bytes]; 8 cars for 10 hours take 207 MB."""
-MAX_FRAMES = 36_000 * 15 + 1
-"""Most frames: the longest race a spec may ask for, at 15 Hz."""
+MAX_FILE = 64 * 2**20  # largest file read [bytes]; the longest race allowed takes about 50 MB
+MAX_HEADER = 16 * 2**20  # largest header, unpacked [bytes]
+MAX_BODY = 256 * 2**20  # largest body, unpacked [bytes]; 8 cars for 10 hours take 207 MB
+MAX_FRAMES = 36_000 * 15 + 1  # most frames: the longest race a spec may ask for, at 15 Hz
 MIN_BYTES_PER_FRAME = 3
 """Every frame carries a checksum, which does not compress, so a smaller body is a bomb."""
 
@@ -88,8 +75,8 @@ def encode(replay: Replay) -> bytes:
     """Return the bytes of a replay's file."""
     columns = replay.columns
     header = _Header(
-        frames=columns.num_frames,
-        cars=columns.num_cars,
+        frames=replay.num_frames,
+        cars=replay.num_cars,
         obstacles=columns.num_obstacles,
         obstacle_frames=len(columns.obstacle_x),
         step_hz=replay.step_hz,
@@ -120,18 +107,11 @@ def write(replay: Replay, path: str | os.PathLike[str]) -> Path:
 
 def read(path: str | os.PathLike[str]) -> Replay:
     """Read a replay from a file; anything but a sound replay raises ReplayError."""
-    path = Path(path)
-    remedy = "give the path of a replay"
-    with explaining(f"{path} cannot be read", ReplayError, remedy, ValueError):
-        # Looked at before it is opened: opening a pipe would wait for ever.
-        if path.exists() and not path.is_file():
-            raise ReplayError(f"{path} is not a file: {remedy}")
-        with path.open("rb") as file:
-            content = file.read(MAX_FILE + 1)
+    content = read_plain(path, MAX_FILE, ReplayError, "a replay")
     try:
         return decode(content)
     except ReplayError as error:
-        raise ReplayError(f"{path} {error}") from error
+        raise ReplayError(f"{os.fspath(path)} {error}") from error
 
 
 def decode(content: bytes) -> Replay:
@@ -142,14 +122,10 @@ def decode(content: bytes) -> Replay:
         header = _Header.model_validate_json(raw_header)
     except ValidationError as error:
         first, where, _ = first_problem(error, "its text")
-        raise ReplayError(
-            f"has a header that does not describe a race ({where}: {first['msg']}): "
-            "get the file again from where the race was run"
-        ) from error
+        reason = f"{where}: {first['msg']}"
+        raise _broken(f"has a header that does not describe a race ({reason})") from error
     if problem := header.problem():
-        raise ReplayError(
-            f"contradicts itself ({problem}): get the file again from where the race was run"
-        )
+        raise _broken(f"contradicts itself ({problem})")
     columns = sum(_size(grain, header) for grain in GRAINS.values() if grain.since <= version)
     size = columns + 4 * (header.cars * len(PARAMETERS) + 2 * header.obstacles + header.frames)
     if size > MAX_BODY or len(packed_body) < MIN_BYTES_PER_FRAME * header.frames:
@@ -159,11 +135,13 @@ def decode(content: bytes) -> Replay:
         )
     body = _unpack(packed_body, size, "body")
     if len(body) != size:
-        raise ReplayError(
-            f"holds {len(body)} bytes of columns where its header declares {size}: "
-            "get the file again from where the race was run"
-        )
+        raise _broken(f"holds {len(body)} bytes of columns where its header declares {size}")
     return _assemble(header, version, body)
+
+
+def _broken(fault: str) -> ReplayError:
+    """Return the error of a file that is not as it was written."""
+    return ReplayError(f"{fault}: copy the whole file again from where the race was run")
 
 
 def _split(content: bytes) -> tuple[int, bytes, bytes]:
@@ -173,13 +151,11 @@ def _split(content: bytes) -> tuple[int, bytes, bytes]:
             f"is larger than {MAX_FILE >> 20} MiB, as no replay is: give another file"
         )
     if not content:
-        raise ReplayError("is empty: copy the whole file again")
-    if not content.startswith(MAGIC):
-        if len(content) < len(MAGIC) and MAGIC.startswith(content):
-            raise ReplayError("ends after a few bytes: copy the whole file again")
+        raise _broken("is empty")
+    if not MAGIC.startswith(content[: len(MAGIC)]):
         raise ReplayError("is not a replay: give a file that `league race` wrote")
     if len(content) < PREFIX.size:
-        raise ReplayError("ends after a few bytes: copy the whole file again")
+        raise _broken("ends after a few bytes")
     _, version, zero, header_size, body_size, crc = PREFIX.unpack_from(content)
     if not 1 <= version <= VERSION or zero != 0:
         raise ReplayError(
@@ -188,13 +164,11 @@ def _split(content: bytes) -> tuple[int, bytes, bytes]:
         )
     whole = PREFIX.size + header_size + body_size
     if len(content) < whole:
-        raise ReplayError(f"ends after {len(content)} of {whole} bytes: copy the whole file again")
+        raise _broken(f"ends after {len(content)} of {whole} bytes")
     if len(content) > whole:
-        raise ReplayError(
-            f"goes on for {len(content) - whole} bytes after its end: copy the file again"
-        )
+        raise _broken(f"goes on for {len(content) - whole} bytes after its end")
     if zlib.crc32(content[PREFIX.size :]) != crc:
-        raise ReplayError("is damaged (its checksum differs): copy the file again")
+        raise _broken("is damaged (its checksum differs)")
     middle = PREFIX.size + header_size
     return version, content[PREFIX.size : middle], content[middle:]
 
@@ -205,13 +179,11 @@ def _unpack(packed: bytes, limit: int, what: str) -> bytes:
     try:
         raw = unpacker.decompress(packed, limit + 1)
     except zlib.error as error:
-        raise ReplayError(f"has a {what} that cannot be unpacked: copy the file again") from error
+        raise _broken(f"has a {what} that cannot be unpacked") from error
     if len(raw) > limit:
-        raise ReplayError(
-            f"has a {what} of more than the {limit} bytes allowed: get the file again"
-        )
+        raise _broken(f"has a {what} of more than the {limit} bytes allowed")
     if not unpacker.eof or unpacker.unused_data:
-        raise ReplayError(f"has a {what} of another length than declared: copy the file again")
+        raise _broken(f"has a {what} of another length than declared")
     return raw
 
 
@@ -220,7 +192,7 @@ def _rows(grain: Grain, header: _Header) -> tuple[int, ...]:
     if grain.axis == "obstacles":
         return (header.obstacle_frames, header.obstacles)
     if grain.axis == "actions":
-        return (header.frames, header.cars, NUM_ACTIONS)
+        return (header.frames, header.cars, 2)
     return (header.frames, header.cars)
 
 
@@ -266,12 +238,12 @@ def _assemble(header: _Header, version: int, body: bytes) -> Replay:
     floats = np.frombuffer(body, "<f4", header.cars * len(PARAMETERS) + 2 * header.obstacles, at)
     checksum = np.frombuffer(body, "<u4", header.frames, at + floats.nbytes)
     if not np.isfinite(floats).all():
-        raise ReplayError("holds parameters that are not numbers: get the file again")
+        raise _broken("holds parameters that are not numbers")
     split = header.cars * len(PARAMETERS)
     try:
         track = files.parse(header.track)
     except TrackError as error:
-        raise ReplayError(f"carries a broken track ({error}): get the file again") from error
+        raise _broken(f"carries a broken track ({error})") from error
     return Replay(
         result=header.result,
         track=track,

@@ -22,7 +22,6 @@ PARAMETERS = ("grip", "mass", "latency_s", "steering_offset", "camera_up", "came
 JUMP = 0.5
 """A car that moved farther than this in one step [m] was put back: nothing is drawn between."""
 Axis = Literal["cars", "actions", "obstacles", "frames"]
-NUM_ACTIONS = 2
 TURN_STEP = 2 * np.pi / 65536
 """A heading is kept in 65,536ths of a turn (9.6e-5 rad), so that it wraps by itself."""
 
@@ -31,71 +30,50 @@ TURN_STEP = 2 * np.pi / 65536
 class Grain:
     """How one column is rounded to whole numbers and differenced."""
 
-    axis: Axis
-    """A row has one number for each of these."""
-    step: float
-    """One whole number's worth, in the column's unit."""
+    axis: Axis  # a row has one number for each of these
+    step: float  # one whole number's worth, in the column's unit
+    # how often differences along the frames are taken: 1 keeps changes, 2 changes of changes;
+    # chosen on recorded races, whichever was smallest
     order: int
-    """How often differences along the frames are taken: 1 keeps changes, 2 changes of changes.
-    Chosen on recorded races, whichever was smallest."""
-    wraps: bool = False
-    """Whether the numbers are angles, kept in 16 bits that wrap with the turn."""
-    since: int = 1
-    """First version of the file format with it; zero in older replays."""
+    wraps: bool = False  # whether the numbers are angles, kept in 16 bits that wrap with the turn
+    since: int = 1  # first version of the file format with it; zero in older replays
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Each step of a race as float64 arrays, num_frames first, in the order of the file."""
+    """Each step of a race as float64 arrays, in the order of the file; world frame.
 
-    x: Annotated[np.ndarray, Grain("cars", 1e-3, 2)]
-    """Position of the base, world frame [m], (num_frames, num_cars)."""
+    Columns of cars are (num_frames, num_cars); those of obstacles (num_frames, num_obstacles), or
+    (1, num_obstacles) if none ever moves.
+    """
+
+    x: Annotated[np.ndarray, Grain("cars", 1e-3, 2)]  # of the base [m]
     y: Annotated[np.ndarray, Grain("cars", 1e-3, 2)]
-    """Position of the base, world frame [m], (num_frames, num_cars)."""
-    yaw: Annotated[np.ndarray, Grain("cars", TURN_STEP, 2, wraps=True)]
-    """Heading in [-pi, pi) [rad], (num_frames, num_cars)."""
-    velocity_x: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]
-    """Velocity, world frame [m/s], (num_frames, num_cars)."""
+    yaw: Annotated[np.ndarray, Grain("cars", TURN_STEP, 2, wraps=True)]  # in [-pi, pi) [rad]
+    velocity_x: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]  # [m/s]
     velocity_y: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]
-    """Velocity, world frame [m/s], (num_frames, num_cars)."""
-    yaw_rate: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]
-    """[rad/s], (num_frames, num_cars)."""
-    steering: Annotated[np.ndarray, Grain("cars", 1e-4, 1)]
-    """Angle of the front wheels, positive to the left [rad], (num_frames, num_cars)."""
+    yaw_rate: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]  # [rad/s]
+    steering: Annotated[
+        np.ndarray, Grain("cars", 1e-4, 1)
+    ]  # of the front wheels, to the left [rad]
+    # the drivers' in the step that led here, (num_frames, num_cars, 2)
     actions: Annotated[np.ndarray, Grain("actions", 1e-4, 1)]
-    """The drivers' actions in the step that led here, (num_frames, num_cars, 2)."""
+    # seconds of penalty still to stand [s]; above 0 the car is frozen
     penalty_s: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]
-    """Seconds of penalty still to stand [s], (num_frames, num_cars); above 0 the car is frozen."""
-    ghost: Annotated[np.ndarray, Grain("cars", 1.0, 1)]
-    """1 while the car cannot collide, (num_frames, num_cars)."""
-    laps: Annotated[np.ndarray, Grain("cars", 1.0, 1)]
-    """Complete laps, (num_frames, num_cars)."""
+    ghost: Annotated[np.ndarray, Grain("cars", 1.0, 1)]  # 1 while the car cannot collide
+    laps: Annotated[np.ndarray, Grain("cars", 1.0, 1)]  # complete ones
+    # driven along the track since the start line [m]
     distance: Annotated[np.ndarray, Grain("cars", 1e-3, 2)]
-    """Driven along the track since the start line [m], (num_frames, num_cars)."""
-    obstacle_x: Annotated[np.ndarray, Grain("obstacles", 1e-3, 2)]
-    """Centre [m], (num_frames, num_obstacles), or (1, num_obstacles) if none ever moves."""
+    obstacle_x: Annotated[np.ndarray, Grain("obstacles", 1e-3, 2)]  # of the centre [m]
     obstacle_y: Annotated[np.ndarray, Grain("obstacles", 1e-3, 2)]
-    """Centre [m], like obstacle_x."""
-    obstacle_yaw: Annotated[np.ndarray, Grain("obstacles", TURN_STEP, 2, wraps=True)]
-    """[rad], like obstacle_x."""
+    obstacle_yaw: Annotated[np.ndarray, Grain("obstacles", TURN_STEP, 2, wraps=True)]  # [rad]
+    # height of the base above where it stands at rest [m]
     z: Annotated[np.ndarray, Grain("cars", 1e-3, 1, since=2)]
-    """Height of the base above where it stands at rest [m], (num_frames, num_cars)."""
+    # about the car's own x, positive to the right, and about its y, positive nose down [rad]
     roll: Annotated[np.ndarray, Grain("cars", TURN_STEP, 1, wraps=True, since=2)]
-    """About the car's own x, positive to the right [rad], (num_frames, num_cars)."""
     pitch: Annotated[np.ndarray, Grain("cars", TURN_STEP, 1, wraps=True, since=2)]
-    """About the car's own y, positive nose down [rad], (num_frames, num_cars)."""
+    # CRC-32 of the exact bits of each step before rounding, uint32, (num_frames,)
     checksum: np.ndarray
-    """CRC-32 of the exact bits of each step before rounding, uint32, (num_frames,)."""
-
-    @property
-    def num_frames(self) -> int:
-        """Steps kept, the start included."""
-        return len(self.checksum)
-
-    @property
-    def num_cars(self) -> int:
-        """Cars in the race."""
-        return self.x.shape[1]
 
     @property
     def num_obstacles(self) -> int:
@@ -142,24 +120,17 @@ def _wrapped(whole: np.ndarray) -> np.ndarray:
 class Replay:
     """One race: its spec, its result, and where everything was at each step."""
 
-    result: RaceResult
-    """The classification, with the spec and all events."""
+    result: RaceResult  # the classification, with the spec and all events
     track: Track
-    """The track."""
-    names: tuple[str, ...]
-    """Of the drivers, by grid slot."""
-    step_hz: int
-    """Control steps per second."""
-    parameters: np.ndarray
-    """Each car's parameters, (num_cars, 6) float32, in the order of `PARAMETERS`."""
+    names: tuple[str, ...]  # of the drivers, by grid slot
+    step_hz: int  # control steps per second
+    parameters: np.ndarray  # each car's, (num_cars, 6) float32, in the order of `PARAMETERS`
+    # half length and half width of each obstacle [m], (num_obstacles, 2) float32
     obstacle_sizes: np.ndarray
-    """Half length and half width of each obstacle [m], (num_obstacles, 2) float32."""
-    columns: Columns
-    """All steps."""
-    league_version: str = ""
-    """Version of the league that drove the race; empty in the oldest replays."""
+    columns: Columns  # all steps
+    league_version: str = ""  # of the league that drove the race; empty in the oldest replays
+    # of the physics that drove it (league/sim/__init__.py); empty before version 4
     physics: str = ""
-    """Version of the physics that drove it (league/sim/__init__.py); empty before version 4."""
 
     @property
     def spec(self) -> RaceSpec:
@@ -169,12 +140,12 @@ class Replay:
     @property
     def num_frames(self) -> int:
         """Steps kept, the start included."""
-        return self.columns.num_frames
+        return len(self.columns.checksum)
 
     @property
     def num_cars(self) -> int:
         """Cars in the race."""
-        return self.columns.num_cars
+        return len(self.names)
 
     @property
     def duration_s(self) -> float:
@@ -202,11 +173,6 @@ class Replay:
                 count=self.columns.num_obstacles, kind=self.spec.obstacle_kind
             ),
         )
-
-    @cached_property
-    def leader(self) -> np.ndarray:
-        """The car in front in each frame, (num_frames,)."""
-        return self.columns.distance.argmax(axis=1)
 
     @property
     def running_order(self) -> np.ndarray:
@@ -262,8 +228,8 @@ def _worlds(replay: Replay, low: np.ndarray, part: np.ndarray) -> World:
     share = np.where(moved < JUMP, part[:, None], 0.0)  # (num_worlds, num_cars)
     worlds = np.zeros(number, records.WORLD)
     worlds["seed"], worlds["step"] = replay.spec.seed, low
-    worlds["leader"] = replay.leader[low]
-    cars = np.zeros((number, columns.num_cars), records.CAR)
+    worlds["leader"] = columns.distance[low].argmax(axis=1)
+    cars = np.zeros((number, replay.num_cars), records.CAR)
     for name in ("x", "y", "velocity_x", "velocity_y", "yaw_rate", "steering", "z"):
         column = getattr(columns, name)
         cars[name] = column[low] + (column[high] - column[low]) * share
@@ -280,7 +246,7 @@ def _worlds(replay: Replay, low: np.ndarray, part: np.ndarray) -> World:
     cars["ghost"] = columns.ghost[low] > 0.5
     cars["best_lap_s"] = cars["finish_s"] = np.inf
     ahead = cars["distance"][:, :, None] > cars["distance"][:, None, :]
-    cars["ahead"] = (ahead << np.arange(columns.num_cars)).sum(axis=2)
+    cars["ahead"] = (ahead << np.arange(replay.num_cars)).sum(axis=2)
     return World(worlds, cars, _obstacles(replay, low, high, part))
 
 
@@ -304,12 +270,9 @@ def _obstacles(replay: Replay, low: np.ndarray, high: np.ndarray, part: np.ndarr
 class Agreement:
     """Whether two recordings of a race are the same, to the last bit."""
 
-    steps: int
-    """Frames compared, the start included."""
-    first_difference: int | None
-    """The first step that differs, or None; a missing step differs."""
-    same_result: bool
-    """Whether spec, classification and events are equal."""
+    steps: int  # frames compared, the start included
+    first_difference: int | None  # the first step that differs, or None; a missing step differs
+    same_result: bool  # whether spec, classification and events are equal
 
     @property
     def agrees(self) -> bool:
@@ -355,15 +318,13 @@ def seconds_behind(distance: np.ndarray, times_s: np.ndarray) -> np.ndarray:
     return np.maximum(times_s[:, None] - first, 0.0) * (distance < lead[:, None])
 
 
-_FOR_GOOD_S = 1e5
-"""Penalty in a replay of a car that is out of the race: longer than any race [s]."""
+_FOR_GOOD_S = 1e5  # penalty in a replay of a car that is out of the race: longer than any race [s]
 _KEPT = (
     *("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "steering"),
     *("penalty_s", "distance", "laps", "ghost", "z", "roll", "pitch"),
 )
 """Fields of a car that a replay keeps."""
-_CHECKED = (*_KEPT, "retired")
-"""Fields of a car that a frame's checksum covers."""
+_CHECKED = (*_KEPT, "retired")  # fields of a car that a frame's checksum covers
 
 
 class Recorder:

@@ -11,74 +11,53 @@ import rerun as rr
 
 from league import times
 from league.race_spec import Event, RaceResult, RaceSpec
-from league.replay.commentary import Commentator
-from league.replay.director import PACK, Director
-from league.rerun_view import blueprint, paths, record
+from league.replay.broadcast import PACK, Commentator, Director
+from league.rerun_view import layout, record
 from league.rerun_view.scene import SceneWriter, positions, rotation, speeds
 from league.rerun_view.viewer import Stream
 from league.sim.config import SimConfig
 from league.sim.records import World
 from league.track.track import Track
 
-CHASE_SHARE = 0.18
-"""How much of the way to its subject the live chase camera goes in one step."""
-BATCH_S = 1.0
-"""Seconds between two batches sent."""
-AHEAD_S = 2.0
-"""How far the driving shown may run ahead of the clock before steps are skipped [s]."""
-MOST_CARS = 6
-"""Cars shown at most."""
+CHASE_SHARE = 0.18  # how much of the way to its subject the live chase camera goes in one step
+BATCH_S = 1.0  # seconds between two batches sent
+AHEAD_S = 2.0  # how far the driving shown may run ahead of the clock before steps are skipped [s]
+MOST_CARS = 6  # cars shown at most
 CHARTS = {
-    paths.PLOT_REWARD: ("reward", (47, 158, 99)),
-    paths.PLOT_TRAINING: ("training", (80, 150, 240)),
-    paths.PLOT_EVALUATION: ("evaluation", (235, 96, 80)),
+    layout.PLOT_REWARD: ("reward", (47, 158, 99)),
+    layout.PLOT_TRAINING: ("training", (80, 150, 240)),
+    layout.PLOT_EVALUATION: ("evaluation", (235, 96, 80)),
 }
 
 
 class Live:
     """Streams one race; `add` is called with the world after each step and never changes it."""
 
-    def __init__(
-        self, spec: RaceSpec, track: Track, recording: rr.RecordingStream, *, speed: float = 0.0
-    ) -> None:
-        """Send what never changes; `start` also opens a viewer.
-
-        The race runs at `speed` seconds per second at most; 0: as fast as it can.
-        """
+    def __init__(self, spec: RaceSpec, track: Track, stream: Stream) -> None:
+        """Send what never changes to a viewer; `start` also opens one."""
+        self._stream, self.address = stream, stream.address  # where it can be watched
         self._names = tuple(entry.name for entry in spec.entries)
         self._bots = spec.obstacle_kind == "bot"
-        self._speed, self._step_hz = speed, SimConfig().step_hz
-        self._begin_s: float | None = None
+        self._step_hz = SimConfig().step_hz
+        self._began_s: float | None = None
         self._chase: np.ndarray | None = None
         self._commentator = Commentator(spec, self._names, closed=track.closed)
         self._director, self._events = Director(), list[Event]()
-        self._stream: Stream | None = None
-        self.address = ""
-        """Where it can be watched."""
-        self._writer = SceneWriter(recording, track, self._names, self._step_hz)
+        self._writer = SceneWriter(stream.recording, track, self._names, self._step_hz)
         kind, laps = spec.kind.replace("_", " "), times.laps(spec.laps)
         self._title = f"# {track.title}\n\n**{kind}**, {laps}, live"
         self._shown = ""
 
     @classmethod
-    def start(
-        cls, spec: RaceSpec, track: Track, *, speed: float = 1.0, window: bool | None = None
-    ) -> Live:
+    def start(cls, spec: RaceSpec, track: Track, *, window: bool | None = None) -> Live:
         """Open a viewer, in a window or else on a local web page, and stream to it.
 
         `window` is by default whether there is a display.
         """
-        drivers = tuple(entry.name for entry in spec.entries)
-        layout = blueprint.broadcast(len(drivers), drivers, track.room, cameras=False, live=True)
+        names = [entry.name for entry in spec.entries]
+        views = layout.broadcast(names, track.room, cameras=False, live=True)
         # A race ends, so the viewer may keep all of it.
-        stream = Stream(layout, window=window, memory=None)
-        try:
-            live = cls(spec, track, stream.recording, speed=speed)
-        except BaseException:
-            stream.close(leave_window=False)
-            raise
-        live._stream, live.address = stream, stream.address
-        return live
+        return cls(spec, track, Stream(views, window=window, memory=None))
 
     def add(self, world: World) -> None:
         """Send the world after one step, and wait while the race is ahead of the clock."""
@@ -87,9 +66,9 @@ class Live:
         cars = world.cars[:1]
         gaps = cars["distance"].max() - cars["distance"]
         self._writer.send_cars(times, cars)
-        self._writer.send_chart(paths.PLOT_SPEED, times, speeds(cars))
-        self._writer.send_chart(paths.PLOT_GAP, times, gaps)
-        self._writer.send_chart(paths.PLOT_STEERING, times, np.degrees(cars["steering"]))
+        self._writer.send_chart(layout.PLOT_SPEED, times, speeds(cars))
+        self._writer.send_chart(layout.PLOT_GAP, times, gaps)
+        self._writer.send_chart(layout.PLOT_STEERING, times, np.degrees(cars["steering"]))
         if world.num_obstacles:
             self._writer.send_obstacles(times, world.obstacles[:1], bots=self._bots)
         for line in self._commentator.add(float(times[0]), cars[0], self._events):
@@ -100,13 +79,11 @@ class Live:
         text = record.running_order(self._title, order, shot.sentence(self._names, cars[0]))
         if text != self._shown:
             self._shown = text
-            self._writer.send_text(paths.TITLE, times, [text])
+            self._writer.send_text(layout.TITLE, times, [text])
         self._follow(times, cars[0, shot.rear])
         now = time.monotonic()
-        if self._begin_s is None:
-            self._begin_s = now
-        if self._speed > 0:
-            time.sleep(max(0.0, self._begin_s + times[0] / self._speed - now))
+        self._began_s = now if self._began_s is None else self._began_s
+        time.sleep(max(0.0, self._began_s + times[0] - now))
 
     def note(self, event: Event) -> None:
         """Take an event of the race's log; the commentary of the next step is about it."""
@@ -126,43 +103,30 @@ class Live:
         forward = (target[:2] - self._chase[:2]) * 3 * CHASE_SHARE
         self._chase = self._chase + np.array([*forward, turn * CHASE_SHARE])
         x, y, yaw = self._chase[:, None]
-        self._writer.send_poses(paths.CHASE, times, positions(x, y), rotation(yaw))
+        self._writer.send_poses(layout.CHASE, times, positions(x, y), rotation(yaw))
 
     @property
     def how_to_end(self) -> str:
         """What a user does when the race is over."""
-        if self._stream is None or self._stream.has_window:
+        if self._stream.has_window:
             return "The window stays open until you close it."
         return "The page stays as it is until you press Ctrl-C."
 
     def wait(self) -> None:
         """Wait for Ctrl-C, where a web page is served."""
-        if self._stream is not None:
-            self._stream.wait()
+        self._stream.wait()
 
     def close(self) -> None:
         """Send what is left and stop serving; a window stays open."""
-        if self._stream is not None:
-            self._stream.close()
-        else:
-            self._writer.recording.flush()
-            self._writer.recording.disconnect()
-
-    def __enter__(self) -> Live:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        self._stream.close()
 
 
 @dataclass(frozen=True)
 class ShownCars:
     """Some cars of some worlds, all on one track."""
 
-    worlds: tuple[int, ...]
-    """Rows of the batch."""
-    cars: tuple[int, ...]
-    """Cars of each of them."""
+    worlds: tuple[int, ...]  # rows of the batch
+    cars: tuple[int, ...]  # cars of each of them
 
     @classmethod
     def of(cls, world: World) -> ShownCars:
@@ -246,7 +210,7 @@ class TrainingStream:
         self._steps = []
         times = (self._frames - len(cars) + np.arange(len(cars))) / self._step_hz
         self._writer.send_cars(times, cars)
-        self._writer.send_chart(paths.PLOT_SPEED, times, speeds(cars))
+        self._writer.send_chart(layout.PLOT_SPEED, times, speeds(cars))
 
     def add_metric(self, path: str, value: float | None) -> None:
         """Add a point to a chart, now."""

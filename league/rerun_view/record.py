@@ -15,23 +15,20 @@ import rerun as rr
 from league import times
 from league.atomic_file import replacing
 from league.errors import ReplayError
-from league.replay import Replay, commentary, director
-from league.rerun_view import blueprint, paths
+from league.replay import Replay, broadcast
+from league.rerun_view import layout
 from league.rerun_view.scene import EYE_CAMERA, NEUTRAL, SceneWriter, positions, rotation
 from league.sim import lidar
 from league.sim.camera.renderer import PaintRenderer
 from league.sim.camera.scene import CAR_COLOURS
 from league.sim.config import LidarConfig
-from league.video.film import Coding, Mp4
+from league.video.film import Mp4
 
 FROZEN_OPACITY = 0.35
 EVENT_LEVELS = {"crash": "ERROR", "off_track": "WARN", "contact": "WARN", "driver_fault": "ERROR"}
-EYE_CODING = Coding(crf=29, preset="ultrafast", keyframe_s=2.0)
-BATCH = 16
-"""Frames rendered at a time; few, so that they stay in the cache."""
+BATCH = 16  # frames rendered at a time; few, so that they stay in the cache
 LIDAR_BATCH = 1024
-LIDAR_EVERY = 2
-"""One scan for so many frames (7.5 Hz of 15; the sensor's own clock is 10 Hz)."""
+LIDAR_EVERY = 2  # one scan for so many frames (7.5 Hz of 15; the sensor's own clock is 10 Hz)
 
 
 def save(replay: Replay, path: str | os.PathLike[str], *, cameras: bool = True) -> Path:
@@ -41,13 +38,13 @@ def save(replay: Replay, path: str | os.PathLike[str], *, cameras: bool = True) 
     """
     spec = replay.spec
     identity = f"{spec.track}-{spec.kind}-{spec.seed}-{int(replay.columns.checksum[-1]):08x}"
-    recording = rr.RecordingStream(paths.APPLICATION, recording_id=identity)
-    layout = blueprint.broadcast(replay.num_cars, replay.names, replay.track.room, cameras=cameras)
+    recording = rr.RecordingStream(layout.APPLICATION, recording_id=identity)
+    views = layout.broadcast(replay.names, replay.track.room, cameras=cameras)
     with replacing(path, "the recording", ReplayError) as file:
-        recording.save(file, default_blueprint=layout)
+        recording.save(file, default_blueprint=views)
         writer = SceneWriter(recording, replay.track, replay.names, replay.step_hz)
         _send_race(writer, replay)
-        for line in commentary.of_replay(replay):
+        for line in broadcast.of_replay(replay):
             send_line(writer, line)
         _send_lidar(writer, replay)
         if cameras:
@@ -64,18 +61,19 @@ def _send_race(writer: SceneWriter, replay: Replay) -> None:
         bots, still = replay.spec.obstacle_kind == "bot", len(columns.obstacle_x) == 1
         things = world.obstacles[:1] if still else world.obstacles
         writer.send_obstacles(None if still else times, things, bots=bots)
-    writer.send_chart(paths.PLOT_SPEED, times, replay.speeds)
-    writer.send_chart(paths.PLOT_GAP, times, replay.gaps_m)
-    writer.send_chart(paths.PLOT_STEERING, times, np.degrees(columns.steering))
-    chase = director.chase_path(replay)
-    writer.send_poses(paths.CHASE, times, positions(chase.x, chase.y), rotation(chase.yaw))
+    writer.send_chart(layout.PLOT_SPEED, times, replay.speeds)
+    writer.send_chart(layout.PLOT_GAP, times, replay.gaps_m)
+    writer.send_chart(layout.PLOT_STEERING, times, np.degrees(columns.steering))
+    chase = broadcast.chase_path(replay)
+    writer.send_poses(layout.CHASE, times, positions(chase.x, chase.y), rotation(chase.yaw))
     for slot in range(replay.num_cars):
         # A car that stands a penalty is transparent.
         frozen = columns.penalty_s[:, slot] > 0
         changes = np.flatnonzero(np.diff(frozen, prepend=~frozen[:1]))
         factors = np.full((len(changes), 4), 255, np.uint8)
         factors[frozen[changes], 3] = round(255 * FROZEN_OPACITY)
-        writer.send(paths.body(slot), times[changes], rr.Mesh3D.columns(albedo_factor=factors))
+        body, shades = layout.car(slot, "body"), rr.Mesh3D.columns(albedo_factor=factors)
+        writer.send(body, times[changes], shades)
     _send_order(writer, replay, chase.fights)
 
 
@@ -89,10 +87,10 @@ def _send_order(writer: SceneWriter, replay: Replay, fights: Sequence[str]) -> N
     # The last frame is the classification's, also where the order changed in it.
     texts[-1] = classification(replay)
     changes = [k for k in range(len(texts)) if k == 0 or texts[k] != texts[k - 1]]
-    writer.send_text(paths.TITLE, replay.times_s[changes], [texts[k] for k in changes])
+    writer.send_text(layout.TITLE, replay.times_s[changes], [texts[k] for k in changes])
 
 
-def send_line(writer: SceneWriter, line: commentary.Remark) -> None:
+def send_line(writer: SceneWriter, line: broadcast.Remark) -> None:
     """Add a line of the race's story to the list of events."""
     colour = NEUTRAL if line.kind == "start" else CAR_COLOURS[line.car]
     level = EVENT_LEVELS.get(line.kind, "INFO")
@@ -115,9 +113,9 @@ def _send_lidar(writer: SceneWriter, replay: Replay) -> None:
         points = positions(ahead, aside, cfg.up)[hit].astype(np.float32)
         bright = tuple((part + 255) // 2 for part in CAR_COLOURS[slot])
         style = rr.Points3D.from_fields(colors=[bright], radii=[0.009])
-        writer.recording.log(paths.lidar(slot), style, static=True)
+        writer.recording.log(layout.car(slot, "lidar"), style, static=True)
         columns = rr.Points3D.columns(positions=points).partition(hit.sum(axis=1))
-        writer.send(paths.lidar(slot), times, columns)
+        writer.send(layout.car(slot, "lidar"), times, columns)
 
 
 def _send_eyes(writer: SceneWriter, replay: Replay) -> None:
@@ -125,18 +123,19 @@ def _send_eyes(writer: SceneWriter, replay: Replay) -> None:
     with ThreadPoolExecutor(max_workers=2) as pool:
         films = list(pool.map(lambda slot: _film(replay, slot), range(replay.num_cars)))
     for slot, pair in enumerate(films):
-        for side, content in zip(paths.EYES, pair, strict=True):
+        for side, content in zip(layout.EYES, pair, strict=True):
             video = rr.AssetVideo(contents=content, media_type="video/mp4")
-            writer.recording.log(paths.eye(slot, side), video, static=True)
+            writer.recording.log(layout.car(slot, "eyes", side), video, static=True)
             stamps = rr.VideoFrameReference.columns_nanos(video.read_frame_timestamps_nanos())
-            writer.send(paths.eye(slot, side), replay.times_s, stamps)
+            writer.send(layout.car(slot, "eyes", side), replay.times_s, stamps)
 
 
 def _film(replay: Replay, slot: int) -> tuple[bytes, bytes]:
     """Return what a car's left and right eye saw, as two MP4 files."""
     renderer = PaintRenderer(replay.tracks, replay.sim, EYE_CAMERA)
     films = (io.BytesIO(), io.BytesIO())
-    left, right = (Mp4(film, replay.step_hz, EYE_CODING) for film in films)
+    size = EYE_CAMERA.width, EYE_CAMERA.height
+    left, right = (Mp4(film, size, replay.step_hz, crf=29, preset="ultrafast") for film in films)
     with left, right:
         for start in range(0, replay.num_frames, BATCH):
             world = replay.at(replay.times_s[start : start + BATCH])

@@ -34,11 +34,10 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from league.errors import ReplayError, explaining
-from league.rerun_view import paths
+from league.rerun_view import layout
 from league.subprocesses import die_with_parent
 
-HOST = "127.0.0.1"
-"""The only address ever listened on."""
+HOST = "127.0.0.1"  # the only address ever listened on
 RECORDING = "race.rrd"
 FILES = {
     "index.html": "text/html; charset=utf-8",
@@ -273,29 +272,25 @@ class Stream:
     """A viewer and the recording that it shows as it is written; on this machine alone."""
 
     def __init__(
-        self, layout: rrb.Blueprint, *, window: bool | None = None, memory: str | None = MEMORY
+        self, views: rrb.Blueprint, *, window: bool | None = None, memory: str | None = MEMORY
     ) -> None:
-        """Open a viewer with this layout.
+        """Open a viewer with these views; ReplayError if it does not start.
 
         `window` is by default whether there is a display; `memory` is what the viewer keeps at
         most, and None leaves it to the viewer.
-
-        Raises:
-            ReplayError: the viewer does not start.
         """
+        # whether it is a window, which stays open, rather than a page that this program serves
         self.has_window = has_display() if window is None else window
-        """Whether it is a window, which stays open, rather than a page that this program serves."""
         port = free_port()
-        self.address = f"rerun+http://{HOST}:{port}/proxy"
-        """Where it can be watched."""
+        self.address = f"rerun+http://{HOST}:{port}/proxy"  # where it can be watched
         self._home = tempfile.TemporaryDirectory(prefix="league-", ignore_cleanup_errors=True)
         self._server: Server | None = None
         command = _command(port, self.has_window, memory)
         self._child = _launch(command, None if self.has_window else self._home.name)
         try:
             wait_until_open(port, self._child)
-            self.recording = rr.RecordingStream(paths.APPLICATION, recording_id=str(uuid.uuid4()))
-            self.recording.connect_grpc(self.address, default_blueprint=layout)
+            self.recording = rr.RecordingStream(layout.APPLICATION, recording_id=str(uuid.uuid4()))
+            self.recording.connect_grpc(self.address, default_blueprint=views)
             if not self.has_window:
                 query = f"url={quote(self.address, safe='')}"
                 self._server = Server(0, query, None, connect=f"http://{HOST}:{port}")
@@ -317,8 +312,8 @@ class Stream:
         if self._server is not None:
             self._server.wait()
 
-    def close(self, *, leave_window: bool = True) -> None:
-        """Send what is left and stop serving; a window stays open with `leave_window`."""
+    def close(self) -> None:
+        """Send what is left and stop serving; a window stays open."""
         atexit.unregister(self.close)
         with contextlib.suppress(RuntimeError):  # the viewer may have been closed before
             if self.is_open:
@@ -327,7 +322,7 @@ class Stream:
         if self._server is not None:
             self._server.close()
             self._server = None
-        if not (self.has_window and leave_window):
+        if not self.has_window:
             self._kill()
         self._home.cleanup()
 

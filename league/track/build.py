@@ -11,20 +11,17 @@ import numpy as np
 
 from league.errors import TrackError
 from league.track import spline
-from league.track.projection import nearest_rows, pairs_within
-from league.track.track import SPACING, Colours, Track
+from league.track.projection import pairs_within
+from league.track.track import SPACING, Colours, Track, TrackSet
 
 if TYPE_CHECKING:
     from league.track.files import TrackFile
 
-MIN_LENGTH, MAX_LENGTH = 2.0, 300.0
-"""Shortest and longest centreline [m]."""
-MAX_EXTENT = 60.0
-"""Longest side of the rectangle round a centreline [m]."""
+MIN_LENGTH, MAX_LENGTH = 2.0, 300.0  # shortest and longest centreline [m]
+MAX_EXTENT = 60.0  # longest side of the rectangle round a centreline [m]
 MIN_RADIUS = 0.2
 """Smallest radius of a centreline [m], smoothed over 0.3 m; the car itself turns in 0.284 m."""
-MIN_REACH = 0.14
-"""Least room between the centreline and a border [m]; half a car is 0.1 m wide."""
+MIN_REACH = 0.14  # least room between the centreline and a border [m]; half a car is 0.1 m wide
 
 _MAX_MISSES = 0.1  # share of the rows in which the normal may miss an explicit border
 
@@ -135,11 +132,7 @@ def _reaches(
 
 
 def _reach(
-    center: np.ndarray,
-    normal: np.ndarray,
-    border: np.ndarray,
-    side: str,
-    file: TrackFile,
+    center: np.ndarray, normal: np.ndarray, border: np.ndarray, side: str, file: TrackFile
 ) -> np.ndarray:
     crossing = first_crossing(border, closed=file.closed)
     if crossing is not None:
@@ -202,7 +195,7 @@ def _refuse_crossing(fault: str, mend: str, *lines: np.ndarray, closed: bool) ->
 
 
 def _check_waypoints(track: Track, points: np.ndarray) -> None:
-    _, off = _projected(track, points)
+    s, off = _in_order(track, points)
     row = int(off.argmax())
     if off[row] > track.width / 2:
         raise TrackError(
@@ -213,7 +206,6 @@ def _check_waypoints(track: Track, points: np.ndarray) -> None:
         raise TrackError(
             "the last of the waypoints is not the first once more; on a loop repeat it"
         )
-    s = _in_order(track, points)
     limit = s[0] + track.length if track.closed else np.inf
     wrong = (s > limit + track.width / 2) | (np.diff(s, prepend=s[0]) < -track.width / 2)
     wrong[-1] |= bool(track.closed and s[-1] < limit - track.width / 2)
@@ -224,30 +216,17 @@ def _check_waypoints(track: Track, points: np.ndarray) -> None:
         )
 
 
-def _in_order(track: Track, points: np.ndarray) -> np.ndarray:
-    """Return where points in driving order lie [m], each counted on from the one before it."""
-    s, _ = _projected(track, points)
-    if not track.closed:
-        return s
-    # What lies a little behind the point before it has not gone round the whole lap.
-    slack = track.width / 2
-    steps = (np.diff(s) + slack) % track.length - slack
-    return s[0] % track.length + np.concatenate([[0.0], np.cumsum(steps)])
-
-
-def _projected(track: Track, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where along the centreline points lie, and how far from it [m], shape (M,) each."""
-    center, last = track.center, len(track.center) - 1
-    nearest = nearest_rows(center, points)
-    low = np.add.outer(nearest, [0, -1])  # the stretches after and before it, (M, 2)
-    low = low % (last + 1) if track.closed else np.clip(low, 0, last - 1)
-    begin = center[low]
-    edge = center[(low + 1) % (last + 1)] - begin
-    part = ((points[:, None] - begin) * edge).sum(axis=-1) / (edge**2).sum(axis=-1)
-    part = np.clip(part, 0.0, 1.0)
-    off = np.linalg.norm(points[:, None] - begin - part[..., None] * edge, axis=-1)
-    rows, best = np.arange(len(points)), off.argmin(axis=1)
-    return (low + part)[rows, best] * track.segment_lengths.mean(), off[rows, best]
+def _in_order(track: Track, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far along the track points in driving order lie, and how far from it [m], (M,)."""
+    x, y = points.T[:, None]
+    place = TrackSet(track).project(np.zeros(1, np.int64), x, y)
+    s, off = place.s[0].astype(np.float64), np.hypot(place.x - x, place.y - y)[0]
+    if track.closed:
+        # What lies a little behind the point before it has not gone round the whole lap.
+        slack = track.width / 2
+        steps = (np.diff(s) + slack) % track.length - slack
+        s = s[0] + np.concatenate([[0.0], np.cumsum(steps)])
+    return s, off
 
 
 def first_crossing(

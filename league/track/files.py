@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import stat
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,17 +11,14 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from league.atomic_file import replacing
+from league.atomic_file import read_plain, replacing
 from league.errors import TrackError, nearest_names
 from league.track import build
 from league.track.track import Colours, Track
 
-MAX_BYTES = 1_000_000
-"""Largest track file read [bytes]."""
-MAX_POINTS = 2000
-"""Most points in one list."""
-MAX_COORDINATE = 1000.0
-"""Largest coordinate [m]."""
+MAX_BYTES = 1_000_000  # largest track file read [bytes]
+MAX_POINTS = 2000  # most points in one list
+MAX_COORDINATE = 1000.0  # largest coordinate [m]
 
 _MAX_DEPTH = 4
 _PACKAGE = Path(__file__).resolve().parents[1]
@@ -42,32 +38,25 @@ class TrackFile(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_]{0,63}$")]
-    """Short name: letters, digits, underscore."""
+    # what a person calls it
     title: Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
-    """What a person calls it."""
+    # which way round it is driven, as the order of the points says; `open` does not return
     direction: Literal["counter-clockwise", "clockwise", "open"]
-    """Which way round it is driven, as the order of the points says; `open` does not return."""
-    width: Annotated[Number, Field(ge=0.3, le=4.0)]
-    """Distance between the borders [m]."""
-    line: Literal["inside", "outside"]
-    """Whether the white line lies inside the border, on the road, or outside it."""
+    width: Annotated[Number, Field(ge=0.3, le=4.0)]  # distance between the borders
+    line: Literal["inside", "outside"]  # whether the white line lies inside the border, on the road
     line_width: Annotated[Number, Field(ge=0.0, le=0.3)] = 0.076
-    """Width of the white lines [m]."""
-    start: Point | None = None
-    """Where the start line crosses the centreline; the first of the points if omitted."""
-    colours: dict[Part, Rgb | None] = {}
-    """Colours of the floor, sRGB 0-255; omitted ones keep their default."""
-    origin: Annotated[str, Field(max_length=2000)] = ""
-    """Where the shape comes from."""
+    start: Point | None = None  # where the start line crosses the centreline; None: points[0]
+    colours: dict[
+        Part, Rgb | None
+    ] = {}  # of the floor, sRGB 0-255; omitted ones keep their default
+    origin: Annotated[str, Field(max_length=2000)] = ""  # where the shape comes from
+    # centreline in driving order; a smooth curve joins them, and a loop does not repeat the first
     points: Annotated[list[Point], Field(min_length=3, max_length=MAX_POINTS)]
-    """Centreline in driving order; a smooth curve joins them. A loop does not repeat the first."""
-    left: Polyline | None = None
-    """Border on the driver's left; both borders follow from points and width if omitted."""
-    right: Polyline | None = None
-    """Border on the driver's right."""
+    left: Polyline | None = None  # border on the driver's left; None: by points and width
+    right: Polyline | None = None  # border on the driver's right
+    # `waypoints` of reward functions, in driving order, of which a loop repeats the first as its
+    # last; None: evenly spaced points of the centreline
     waypoints: Annotated[list[Point], Field(min_length=2, max_length=MAX_POINTS + 1)] | None = None
-    """`waypoints` of reward functions, in driving order; evenly spaced points of the centreline if
-    omitted. Unlike `points`, a loop repeats its first as its last."""
 
     @property
     def closed(self) -> bool:
@@ -174,32 +163,12 @@ def report(track: Track) -> dict[str, str | float | int]:
 
 def _read_text(path: str) -> str:
     try:
-        return _read_bytes(path).decode("utf-8")
+        return read_plain(path, MAX_BYTES, TrackError, "a .yaml file").decode("utf-8")
     except UnicodeDecodeError as error:
         raise TrackError(
             f"{path} is not text: byte {error.start} is not UTF-8; a track file is YAML "
             "(for .npy arrays use `league tracks import`)"
         ) from None
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise TrackError(f"cannot read {path}: {reason}; give the path of a .yaml file") from None
-
-
-def _read_bytes(path: str) -> bytes:
-    # Looked at before it is opened: opening a pipe would wait for ever.
-    state = os.stat(path)
-    if stat.S_ISDIR(state.st_mode):
-        raise TrackError(f"{path} is a folder; give the path of a .yaml file in it")
-    if not stat.S_ISREG(state.st_mode):
-        raise TrackError(f"{path} is not a file; give the path of a .yaml file")
-    with open(path, "rb") as file:
-        content = file.read(MAX_BYTES + 1)
-    if len(content) > MAX_BYTES:
-        raise TrackError(
-            f"{path} has {max(state.st_size, len(content)):,} bytes and a track file has at most "
-            f"{MAX_BYTES:,}; thin out its points"
-        )
-    return content
 
 
 def read(text: str, where: str) -> TrackFile:
@@ -221,10 +190,16 @@ def read(text: str, where: str) -> TrackFile:
         raise TrackError(
             f"{where} holds a value that cannot be read ({error}); correct it"
         ) from None
-    return checked(content, where, root)
+    return _checked(content, where, root)
 
 
-def checked(content: object, where: str, root: yaml.Node | None = None) -> TrackFile:
+def built(content: dict[str, Any], where: str) -> Track:
+    """Build the track of a file's content through its text, so that the text gives it again."""
+    file = _checked(content, where)
+    return build.track(file, write(file), where)
+
+
+def _checked(content: object, where: str, root: yaml.Node | None = None) -> TrackFile:
     """Check a file's content; `root` is its YAML, for the line numbers of errors."""
     try:
         return TrackFile.model_validate(content)
@@ -304,13 +279,9 @@ _HINTS = {
     "width": "give a number from 0.3 to 4 m",
     "line": "give inside or outside",
     "line_width": "give a number from 0 to 0.3 m",
-    "start": _POINT,
     "colours": "give each colour as [red, green, blue], whole numbers from 0 to 255",
     "origin": "give a text of at most 2000 characters",
-    "points": _POINT,
-    "left": _POINT,
-    "right": _POINT,
-    "waypoints": _POINT,
+    **dict.fromkeys(("start", "points", "left", "right", "waypoints"), _POINT),
 }
 _LENGTHS = {
     "points": f"3 to {MAX_POINTS}",

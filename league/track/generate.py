@@ -6,17 +6,18 @@ from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
+from numpy import ndarray
+from numpy.random import Generator
 from scipy import ndimage
 from scipy.spatial import KDTree
 
 from league.errors import TrackError
-from league.track import build, files, spline
+from league.track import files, spline
 from league.track.track import Track
 
 Direction = Literal["counter-clockwise", "clockwise"]
 
-CLEARANCE = 0.1
-"""Least distance between the borders of two stretches [m]."""
+CLEARANCE = 0.1  # least distance between the borders of two stretches [m]
 
 _ATTEMPTS = 400
 _STEP = 0.05  # spacing of the drawn path [m]
@@ -82,36 +83,28 @@ def generate(
     )
 
 
-def _build(
-    seed: int, path: np.ndarray, width: float, way: str, generator: np.random.Generator
-) -> Track | None:
+def _build(seed: int, path: ndarray, width: float, way: str, generator: Generator) -> Track | None:
     """Turn a path into a track through its own file, so that its text gives it again."""
     count = max(8, round(len(path) * _STEP / _KNOT))
     rows = np.linspace(0, len(path), count, endpoint=False).astype(int)
-    where = f"the track of seed {seed}"
     palette = _PALETTES[int(generator.integers(len(_PALETTES)))]
-    file = files.checked(
-        {
-            "name": f"generated_{seed}",
-            "title": f"Generated {seed}",
-            "direction": way,
-            "width": width,
-            "line": "inside" if generator.random() < 0.75 else "outside",
-            "colours": {part: list(rgb) for part, rgb in palette.items()},
-            "origin": f"Generated from seed {seed}.",
-            "points": files.rounded(path[rows], 3),
-        },
-        where,
-    )
+    content = {
+        "name": f"generated_{seed}",
+        "title": f"Generated {seed}",
+        "direction": way,
+        "width": width,
+        "line": "inside" if generator.random() < 0.75 else "outside",
+        "colours": {part: list(rgb) for part, rgb in palette.items()},
+        "origin": f"Generated from seed {seed}.",
+        "points": files.rounded(path[rows], 3),
+    }
     try:
-        return build.track(file, files.write(file), where)
+        return files.built(content, f"the track of seed {seed}")
     except TrackError:
         return None
 
 
-def _finished(
-    path: np.ndarray, length: float, way: str, generator: np.random.Generator
-) -> np.ndarray:
+def _finished(path: ndarray, length: float, way: str, generator: Generator) -> ndarray:
     """Bring a counter-clockwise outline to its length, turn it, start it on its best straight."""
     angle = generator.uniform(0, 2 * np.pi)
     cos, sin = np.cos(angle), np.sin(angle)
@@ -125,7 +118,7 @@ def _finished(
     return path - path.min(axis=0) + 1.0
 
 
-def _fits(path: np.ndarray, width: float, min_radius: float) -> bool:
+def _fits(path: ndarray, width: float, min_radius: float) -> bool:
     """Return, roughly and quickly, whether bends are wide enough and stretches far enough apart."""
     bend = ndimage.uniform_filter1d(np.abs(_curvature(path)), size=5, mode="wrap")
     if bend.max() > 1.05 / min_radius:
@@ -137,9 +130,7 @@ def _fits(path: np.ndarray, width: float, min_radius: float) -> bool:
     return not (apart > spline.FOLD_REACH * width / 2).any()
 
 
-def _blocks(
-    generator: np.random.Generator, length: float, width: float, min_radius: float
-) -> np.ndarray | None:
+def _blocks(generator: Generator, length: float, width: float, min_radius: float) -> ndarray | None:
     """Outline of a random patch of cells: straights, hairpins and chicanes."""
     pitch = max(2.2 * min_radius, width + CLEARANCE + 0.05)
     most = max(4, int(1.05 * length / pitch))
@@ -156,7 +147,7 @@ def _blocks(
 _EDGES = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
-def _patch(generator: np.random.Generator, sides: int) -> set[tuple[int, int]]:
+def _patch(generator: Generator, sides: int) -> set[tuple[int, int]]:
     """Grow cells, without holes and without touching corners, until they have so many sides."""
     cells = {(0, 0)}
     perimeter = 4
@@ -187,7 +178,7 @@ def _joins_once(cells: set[tuple[int, int]], cell: tuple[int, int]) -> bool:
     return runs == 1 and any(ring[::2])
 
 
-def _outline(cells: set[tuple[int, int]]) -> np.ndarray:
+def _outline(cells: set[tuple[int, int]]) -> ndarray:
     """Return the corners of a patch's outline, counter-clockwise, shape (K, 2)."""
     after = {
         begin: end
@@ -208,9 +199,7 @@ def _outline(cells: set[tuple[int, int]]) -> np.ndarray:
     return ring[~straight]
 
 
-def _star(
-    generator: np.random.Generator, length: float, width: float, min_radius: float
-) -> np.ndarray | None:
+def _star(generator: Generator, length: float, width: float, min_radius: float) -> ndarray | None:
     """Polygon with near and far corners: fast bends of all angles, some bowing inward."""
     count = int(generator.integers(4, 5 + int(length / 4)))
     gaps = generator.uniform(0.5, 1.5, count)
@@ -221,9 +210,7 @@ def _star(
     return _rounded(corners, length, min_radius, generator)
 
 
-def _flow(
-    generator: np.random.Generator, length: float, width: float, min_radius: float
-) -> np.ndarray | None:
+def _flow(generator: Generator, length: float, width: float, min_radius: float) -> ndarray | None:
     """Sum of a few waves round a circle: no straight, bends that flow into each other."""
     angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     radius = np.ones_like(angle)
@@ -237,13 +224,13 @@ def _flow(
     return path
 
 
-_SHAPES: tuple[Callable[..., np.ndarray | None], ...] = (_blocks, _star, _flow)
+_SHAPES: tuple[Callable[..., ndarray | None], ...] = (_blocks, _star, _flow)
 _SHARES = (0.6, 0.25, 0.15)
 
 
 def _rounded(
-    corners: np.ndarray, length: float, min_radius: float, generator: np.random.Generator
-) -> np.ndarray | None:
+    corners: ndarray, length: float, min_radius: float, generator: Generator
+) -> ndarray | None:
     """Round the corners of a polygon with arcs of varied radius, and soften where they begin.
 
     Returns None if a corner leaves no room for the smallest radius.
@@ -273,9 +260,7 @@ def _rounded(
     return ndimage.gaussian_filter1d(path, soft, axis=0, mode="wrap")
 
 
-def _arc(
-    corner: np.ndarray, into: np.ndarray, turn: float, radius: float, cut: float
-) -> np.ndarray:
+def _arc(corner: ndarray, into: ndarray, turn: float, radius: float, cut: float) -> ndarray:
     """Return points of the arc that replaces a corner, begun `cut` before it."""
     count = max(2, int(np.ceil(abs(turn) / 0.05)))
     part = np.linspace(0, abs(turn), count)
@@ -285,11 +270,11 @@ def _arc(
     return corner - into * cut + into * ahead[:, None] + aside * sideways[:, None]
 
 
-def _length(path: np.ndarray) -> float:
+def _length(path: ndarray) -> float:
     return float(np.linalg.norm(np.roll(path, -1, axis=0) - path, axis=1).sum())
 
 
-def _even(path: np.ndarray) -> np.ndarray:
+def _even(path: ndarray) -> ndarray:
     """Resample a closed polyline at even steps."""
     ring = np.concatenate([path, path[:1]])
     s = spline.travelled(ring)
@@ -297,7 +282,7 @@ def _even(path: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(wanted, s, ring[:, 0]), np.interp(wanted, s, ring[:, 1])], axis=1)
 
 
-def _curvature(path: np.ndarray) -> np.ndarray:
+def _curvature(path: ndarray) -> ndarray:
     """Return the signed curvature of an evenly spaced closed path [1/m]."""
     step = np.roll(path, -1, axis=0) - path
     before = np.roll(step, 1, axis=0)

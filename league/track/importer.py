@@ -4,49 +4,39 @@ from __future__ import annotations
 
 import os
 import re
-import stat
 import tokenize
 import warnings
+from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from scipy.spatial import KDTree
 
+from league.atomic_file import read_plain
 from league.errors import TrackError
 from league.track import build, files, spline
 from league.track.track import SPACING, Track
-
-MAX_BYTES = 1_000_000
-"""Largest array file read [bytes]; the largest of the community has 20 kB."""
 
 _CENTER_ERROR = 0.008  # largest distance of a given row from the fitted centreline [m]
 _BORDER_ERROR = 0.002  # largest distance of a given row from the thinned border [m]
 _FIRST_KNOTS = 0.8  # distance of the first knots of the fit [m]
 _HEADER_FAULTS = (
-    ValueError,
-    SyntaxError,
-    TypeError,
-    KeyError,
-    EOFError,
-    OverflowError,
-    MemoryError,
-    RecursionError,
-    tokenize.TokenError,
+    *(ValueError, SyntaxError, TypeError, KeyError, EOFError, OverflowError, MemoryError),
+    *(RecursionError, tokenize.TokenError),
 )
 
 
-def read_npy(path: str | os.PathLike[str], name: str | None = None) -> Track:
+def read_npy(path: str | os.PathLike[str]) -> Track:
     """Import a community track file; nothing in it is executed and every number of it is checked.
 
     The array is floats of shape (N, 6) [m]: centre, inner border, outer border. Rows need not be
     perpendicular to the centreline: borders are taken as lines, and met by the centreline's
     normals. "Inner" may lie on either side of the driver. The rows' centres are kept as the track's
-    waypoints, for reward functions that count on their numbers. Without a name, the file's is used.
+    waypoints, for reward functions that count on their numbers. It is named as the file.
     """
     where = os.fspath(path)
     rows = _read_rows(where)
-    name = name or re.sub(r"\W+", "_", Path(where).stem, flags=re.ASCII).strip("_")[:64] or "track"
+    name = re.sub(r"\W+", "_", Path(where).stem, flags=re.ASCII).strip("_")[:64] or "track"
     return from_rows(rows, name, where)
 
 
@@ -88,7 +78,7 @@ def from_rows(rows: np.ndarray, name: str, where: str) -> Track:
     waypoints = np.concatenate([waypoints, rows[:1, :2]]) if closed else waypoints
     points = _thinned_curve(center, closed)
     width = _usual_width(points, left, right, closed, where)
-    file = files.checked(
+    return files.built(
         {
             "name": name,
             "title": name.replace("_", " "),
@@ -105,24 +95,16 @@ def from_rows(rows: np.ndarray, name: str, where: str) -> Track:
         },
         where,
     )
-    return build.track(file, files.write(file), where)
 
 
 def _read_rows(where: str) -> np.ndarray:
     """Read the array after its header and size were found to be those of a track."""
+    content = read_plain(where, files.MAX_BYTES, TrackError, "a .npy file")
     try:
-        state = os.stat(where)
-        if not stat.S_ISREG(state.st_mode):
-            raise TrackError(f"{where} is not a file; give the path of a .npy file")
-        with open(where, "rb") as file, warnings.catch_warnings():
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # headers written by Python 2 make numpy warn
-            _check_header(file, state.st_size, where)
-            file.seek(0)
-            return np.load(file, allow_pickle=False)
-    except OSError as error:
-        raise TrackError(
-            f"cannot read {where}: {error.strerror or error}; give the path of a .npy file"
-        ) from None
+            _check_header(BytesIO(content), len(content), where)
+            return np.load(BytesIO(content), allow_pickle=False)
     except _HEADER_FAULTS as error:
         reason = str(error).split("\n", maxsplit=1)[0][:100]
         raise TrackError(
@@ -130,7 +112,7 @@ def _read_rows(where: str) -> np.ndarray:
         ) from None
 
 
-def _check_header(file: BinaryIO, size: int, where: str) -> None:
+def _check_header(file: BytesIO, size: int, where: str) -> None:
     version = np.lib.format.read_magic(file)
     if version == (1, 0):
         shape, _, dtype = np.lib.format.read_array_header_1_0(file)
@@ -150,10 +132,10 @@ def _check_header(file: BinaryIO, size: int, where: str) -> None:
             f"{where} has {shape[0]:,} rows; a track array has 4 to {files.MAX_POINTS}"
         )
     declared = file.tell() + shape[0] * shape[1] * dtype.itemsize
-    if size > MAX_BYTES or size != declared:
+    if size != declared:
         raise TrackError(
-            f"{where} has {size:,} bytes and its header promises {declared:,} (at most "
-            f"{MAX_BYTES:,} are read); it was cut short or is no track: save it again"
+            f"{where} has {size:,} bytes and its header promises {declared:,}; it was cut short "
+            "or is no track: save it again"
         )
 
 

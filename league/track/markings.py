@@ -21,15 +21,12 @@ DASH_WIDTH, DASH_LENGTH, DASH_PITCH = 0.025, 0.051, 0.102
 """Centre dashes [m]; the original's are 1 inch wide, 2 long and 4 apart."""
 START_DEPTH, START_SQUARE = 0.1, 0.05
 """Depth of the checkered start line and the side of its squares [m]."""
-START_COLOURS: tuple[Rgb, Rgb] = ((24, 24, 26), (226, 226, 222))
-"""The start line's two colours."""
+START_COLOURS: tuple[Rgb, Rgb] = ((24, 24, 26), (226, 226, 222))  # the start line's two colours
 ROAD_NOISE, FIELD_NOISE = 3.0, 6.0
 """Standard deviation of the texture, in levels of 255; gentler than the original's 8 and 22."""
-MAX_PIXELS = 60_000_000
-"""Largest picture of a floor."""
+MAX_PIXELS = 60_000_000  # largest picture of a floor
 
-SHIFT = 4
-"""Fractional bits of a drawn corner."""
+SHIFT = 4  # fractional bits of a drawn corner
 
 _FINE = 3  # the drawing is this much finer than the picture: anti-aliasing
 _TILE = 512  # side of the repeated noise tile [pixels]
@@ -45,14 +42,10 @@ Colour = tuple[float, float, float]
 class FloorPicture:
     """The painted floor of the rectangle `Track.room`."""
 
-    image: np.ndarray
-    """uint8, shape (H, W) gray or (H, W, 3) RGB; rows grow with y, columns with x."""
-    origin_x: float
-    """World x of the outer edge of column 0 [m]."""
-    origin_y: float
-    """World y of the outer edge of row 0 [m]."""
-    metres_per_pixel: float
-    """Side of a pixel [m]."""
+    image: np.ndarray  # uint8, shape (H, W) gray or (H, W, 3) RGB; rows grow with y, columns with x
+    origin_x: float  # world x of the outer edge of column 0 [m]
+    origin_y: float  # world y of the outer edge of row 0 [m]
+    metres_per_pixel: float  # side of a pixel [m]
 
     def pixel_of(self, points: np.ndarray) -> np.ndarray:
         """Return (col, row) of world points [m]; whole numbers are pixel middles."""
@@ -81,16 +74,12 @@ def floor(track: Track, metres_per_pixel: float, *, colour: bool) -> FloorPictur
         for corners in np.round(place * (1 << SHIFT)).astype(np.int32):
             cv2.fillConvexPoly(image, corners, colour, lineType=cv2.LINE_8, shift=SHIFT)
 
-    colours, spill = track.colours, 0.5 * metres_per_pixel / _FINE
-    inner, outer = (-track.line_width, 0.0) if track.line_inside else (0.0, track.line_width)
-    for wider, colour_of_strip in ((outer, colours.line), (inner, colours.road)):
-        road = strip(track, wider, spill)  # filled polygons spill over by half a fine pixel
-        fill(road, fine, colour_of_strip)
-        fill(road, on_road, 255)
-    fill(dashes(track), fine, colours.dash)
-    if track.closed:
-        for squares, rgb in zip(start_squares(track), START_COLOURS, strict=True):
-            fill(squares, fine, rgb)
+    # Filled polygons spill over by half a fine pixel.
+    painted = layers(track, 0.5 * metres_per_pixel / _FINE)
+    for polygons, rgb in painted:
+        fill(polygons, fine, rgb)
+    for polygons, _ in painted[:2]:
+        fill(polygons, on_road, 255)
     image = cv2.resize(fine, (columns, rows), interpolation=cv2.INTER_AREA)
     noise = np.tile(_noise_tile(), (rows // _TILE + 1, columns // _TILE + 1))[:rows, :columns]
     noise = noise * np.where(on_road > 0, np.float32(ROAD_NOISE), np.float32(FIELD_NOISE))
@@ -116,7 +105,23 @@ def _noise_tile() -> np.ndarray:
     return soft / soft.std()
 
 
-def strip(track: Track, wider: float, spill: float = 0.0) -> np.ndarray:
+def layers(track: Track, spill: float = 0.0) -> list[tuple[np.ndarray, Rgb]]:
+    """Return what is painted on the field, one over the other: quadrilaterals, (K, 4, 2), and RGB.
+
+    White lines, road, each less `spill` [m] on either side; dashes, and the start line's squares.
+    """
+    inner, outer = (-track.line_width, 0.0) if track.line_inside else (0.0, track.line_width)
+    painted = [
+        (_strip(track, outer, spill), track.colours.line),
+        (_strip(track, inner, spill), track.colours.road),
+        (dashes(track), track.colours.dash),
+    ]
+    if track.closed:
+        painted += zip(_start_squares(track), START_COLOURS, strict=True)
+    return painted
+
+
+def _strip(track: Track, wider: float, spill: float) -> np.ndarray:
     """Return the road as quadrilaterals, (K, 4, 2), each border moved out by `wider - spill` [m].
 
     Quadrilaterals of the two halves are filled one by one, so that folds of a tight bend overlap
@@ -165,7 +170,7 @@ def dashes(track: Track) -> np.ndarray:
     return _rectangles(middle, along, DASH_LENGTH, DASH_WIDTH)
 
 
-def start_squares(track: Track) -> tuple[np.ndarray, np.ndarray]:
+def _start_squares(track: Track) -> tuple[np.ndarray, np.ndarray]:
     """Return the dark and the bright squares of the start line, each of shape (K, 4, 2)."""
     along = track.tangent[0]
     across = np.array([-along[1], along[0]])
@@ -200,14 +205,11 @@ def placed(outline: np.ndarray, x: float, y: float, cos: float, sin: float) -> n
 class Plan:
     """A rectangle of a track's floor seen from above, to draw on; what lies north is up."""
 
-    picture: np.ndarray
-    """RGB uint8, shape (H, W, 3)."""
+    picture: np.ndarray  # RGB uint8, shape (H, W, 3)
+    # world place of the outer corner of the picture's upper left pixel [m], shape (2,)
     corner: np.ndarray
-    """World place of the outer corner of the picture's upper left pixel [m], shape (2,)."""
-    pixel: float
-    """Side of a pixel [m]."""
-    sideways: bool = False
-    """A quarter turn to the left: what lies east is up."""
+    pixel: float  # side of a pixel [m]
+    sideways: bool = False  # a quarter turn to the left: what lies east is up
 
     @classmethod
     def of(

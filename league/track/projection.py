@@ -33,10 +33,8 @@ COURSE = np.dtype(
 )
 """What one track is besides its points."""
 
-SEARCHES = 3
-"""Steps of Newton's method in a projection."""
-OPEN_TRACK_MARGIN = f32(0.3)
-"""An open track is finished this far before its end [m]."""
+SEARCHES = 3  # steps of Newton's method in a projection
+OPEN_TRACK_MARGIN = f32(0.3)  # an open track is finished this far before its end [m]
 
 _ZERO, _HALF, _ONE, _STEEPEST = f32(0.0), f32(0.5), f32(1.0), f32(0.3)
 
@@ -44,22 +42,14 @@ _ZERO, _HALF, _ONE, _STEEPEST = f32(0.0), f32(0.5), f32(1.0), f32(0.3)
 class Frame(NamedTuple):
     """The track at one place."""
 
-    s: np.float32
-    """Distance along the centreline, wrapped or held at the ends [m]."""
-    x: np.float32
-    """Centreline, world frame [m]."""
-    y: np.float32
-    """Centreline, world frame [m]."""
-    cos: np.float32
-    """Cosine of the track's heading."""
-    sin: np.float32
-    """Sine of the track's heading."""
-    curvature: np.float32
-    """[1/m], positive to the left."""
-    left: np.float32
-    """Distance from the centreline to the left border [m]."""
-    right: np.float32
-    """Distance from the centreline to the right border [m]."""
+    s: np.float32  # distance along the centreline, wrapped or held at the ends [m]
+    x: np.float32  # centreline, world frame [m]
+    y: np.float32  # centreline, world frame [m]
+    cos: np.float32  # cosine of the track's heading
+    sin: np.float32  # sine of the track's heading
+    curvature: np.float32  # [1/m], positive to the left
+    left: np.float32  # distance from the centreline to the left border [m]
+    right: np.float32  # distance from the centreline to the right border [m]
 
 
 @inner
@@ -146,8 +136,8 @@ def lap_length(course):
 
 @compiled(allocates=True)
 def frames_at(points, courses, track, s):
-    """Return the frames at distances s [m] along tracks, float32 (num_places, 8); see Frame."""
-    out = np.empty((len(s), 8), np.float32)
+    """Return the frames at distances s [m] along tracks, and 0, float32 (num_places, 9)."""
+    out = np.zeros((len(s), 9), np.float32)
     for k in range(len(s)):
         frame = frame_at(points, courses[track[k]], s[k])
         for column in range(8):
@@ -206,16 +196,3 @@ def pairs_within(radius, points, others):
             if dx * dx + dy * dy <= radius * radius:
                 pairs.append((i, j))
     return np.array(pairs)[1:]
-
-
-@compiled(allocates=True)
-def nearest_rows(line, points):
-    """Return the row of a line nearest to each point, (num_points,)."""
-    rows = np.zeros(len(points), np.int64)
-    for k in range(len(points)):
-        least = np.inf
-        for row in range(len(line)):
-            dx, dy = line[row, 0] - points[k, 0], line[row, 1] - points[k, 1]
-            if dx * dx + dy * dy < least:
-                rows[k], least = row, dx * dx + dy * dy
-    return rows

@@ -27,12 +27,9 @@ _SWEEPS = 60  # each halves what is missing at least
 class Spline:
     """A cubic spline through K points; a closed one repeats its first point as the last."""
 
-    place: np.ndarray
-    """Where each point lies along the polyline through them [m], (K,)."""
-    points: np.ndarray
-    """[m], (K, 2)."""
-    bends: np.ndarray
-    """Second derivative at each point [1/m], (K, 2)."""
+    place: np.ndarray  # where each point lies along the polyline through them [m], (K,)
+    points: np.ndarray  # [m], (K, 2)
+    bends: np.ndarray  # second derivative at each point [1/m], (K, 2)
 
     def __call__(self, place: np.ndarray) -> np.ndarray:
         """Return the points of the curve at places [m], (num_places, 2)."""

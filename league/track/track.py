@@ -17,15 +17,13 @@ import numpy as np
 
 from league.track import spline
 
-SPACING = 0.05
-"""Wished distance between two points of a resampled centreline [m]."""
+SPACING = 0.05  # wished distance between two points of a resampled centreline [m]
 
 ROOM_MARGIN = 0.84
 """From the road's bounding box to the room's wall [m]; the original's is 0.76 to 0.92."""
 LEAST_BEND = 0.25
 """Curvature from which on the road bends [1/m]: a radius of 4 m, at which no car has to brake."""
-LEAST_TURN = np.radians(20.0)
-"""A bend that turns less than this is no corner [rad]."""
+LEAST_TURN = np.radians(20.0)  # a bend that turns less than this is no corner [rad]
 
 Rgb = tuple[int, int, int]
 
@@ -45,31 +43,23 @@ class Colours:
 class Track:
     """One course, resampled; made by `league.track.files` or `league.track.generate`."""
 
-    name: str
-    """Short name: letters, digits, underscore."""
-    title: str
-    """What a person calls it."""
+    name: str  # short name: letters, digits, underscore
+    title: str  # what a person calls it
+    # centreline [m], shape (N, 2) float64, uniform spacing, driving order, row 0 on the start line;
+    # a closed track does not repeat row 0
     center: np.ndarray
-    """Centreline [m], shape (N, 2) float64, uniform spacing, driving order, row 0 on the start
-    line. A closed track does not repeat row 0."""
+    # border on the driver's left [m], shape (N, 2): where the centreline's normal meets it
     left: np.ndarray
-    """Border on the driver's left [m], shape (N, 2): where the centreline's normal meets it."""
-    right: np.ndarray
-    """Border on the driver's right [m], shape (N, 2)."""
-    closed: bool = True
-    """False for a straight that ends at its last row."""
-    line_inside: bool = True
-    """True: the border is the outer edge of the white line; False: its inner edge."""
-    line_width: float = 0.076
-    """Width of the white border lines [m]."""
+    right: np.ndarray  # border on the driver's right [m], shape (N, 2)
+    closed: bool = True  # False for a straight that ends at its last row
+    line_inside: bool = True  # whether the border is the white line's outer edge, or its inner one
+    line_width: float = 0.076  # width of the white border lines [m]
     colours: Colours = field(default_factory=Colours)
-    origin: str = ""
-    """Where the shape comes from."""
-    text: str = ""
-    """The YAML text it was made from, so that a replay can carry its track."""
+    origin: str = ""  # where the shape comes from
+    text: str = ""  # the YAML text it was made from, so that a replay can carry its track
+    # `waypoints` of reward functions [m], shape (M, 2), driving order; a closed track repeats row 0
+    # as the last. None: points evenly spaced along the centreline
     waypoints: np.ndarray | None = None
-    """`waypoints` of reward functions [m], shape (M, 2), driving order; a closed track repeats row
-    0 as the last. None: points evenly spaced along the centreline."""
 
     @cached_property
     def length(self) -> float:
@@ -170,21 +160,15 @@ class Track:
 class Projection:
     """Where points lie on their track; every field is float32 of the points' shape."""
 
-    s: np.ndarray
-    """Distance along the centreline from the start line, in [0, length) [m] (closed tracks)."""
-    lateral: np.ndarray
-    """Distance to the left of the centreline [m]."""
-    x: np.ndarray
+    s: np.ndarray  # distance along the centreline from the start line, on a loop below length [m]
+    x: np.ndarray  # centreline there, world frame [m]
     y: np.ndarray
-    """Centreline there, world frame [m]."""
-    cos: np.ndarray
+    cos: np.ndarray  # cosine and sine of the track's heading there
     sin: np.ndarray
-    """Cosine and sine of the track's heading there."""
-    curvature: np.ndarray
-    """Signed curvature there [1/m], positive to the left."""
-    left: np.ndarray
+    curvature: np.ndarray  # signed curvature there [1/m], positive to the left
+    left: np.ndarray  # distance from the centreline to either border [m], positive
     right: np.ndarray
-    """Distance from the centreline to either border [m], positive."""
+    lateral: np.ndarray  # distance of the point to the left of the centreline [m]
 
 
 class TrackSet:
@@ -202,10 +186,9 @@ class TrackSet:
             raise ValueError("a TrackSet needs at least one track")
         self.tracks = tracks
         tables = [_points(track) for track in tracks]
+        # POINT records of all tracks, one track after the other
         self.points = np.concatenate(tables).view(POINT)[:, 0]
-        """POINT records of all tracks, one track after the other."""
-        self.courses = np.zeros(len(tracks), COURSE)
-        """COURSE record of each track."""
+        self.courses = np.zeros(len(tracks), COURSE)  # COURSE record of each track
         first = 0
         for course, track, table in zip(self.courses, tracks, tables, strict=True):
             course["first"], course["count"] = first, len(table)
@@ -216,21 +199,10 @@ class TrackSet:
             course["inner"] = -1.0 if track.direction == "clockwise" else 1.0
             course["closed"] = track.closed
             first += len(table)
-
-    @property
-    def length(self) -> np.ndarray:
-        """Length of each track [m], float32 (num_tracks,)."""
-        return self.courses["length"]
-
-    @property
-    def closed(self) -> np.ndarray:
-        """Whether each track is a loop, bool (num_tracks,)."""
-        return self.courses["closed"]
-
-    @property
-    def rooms(self) -> np.ndarray:
-        """Wall of each track, x_min, y_min, x_max, y_max [m], float32 (num_tracks, 4)."""
-        return np.array([track.room for track in self.tracks], np.float32)
+        self.length = self.courses["length"]  # of each track [m], float32 (num_tracks,)
+        self.closed = self.courses["closed"]  # whether each track is a loop, bool (num_tracks,)
+        # wall of each track, x_min, y_min, x_max, y_max [m], float32 (num_tracks, 4)
+        self.rooms = np.array([track.room for track in tracks], np.float32)
 
     def lap_length(self, index: np.ndarray) -> np.ndarray:
         """Return what counts as a lap [m]: the loop, or an open track but its end."""
@@ -244,9 +216,9 @@ class TrackSet:
         from league.track import projection
 
         s = np.asarray(s, np.float32)
-        flat = s.ravel()
-        frames = projection.frames_at(self.points, self.courses, self._spread(index, s), flat)
-        return _projection(frames, np.zeros_like(flat), s.shape)
+        index = self._spread(index, s)
+        frames = projection.frames_at(self.points, self.courses, index, s.ravel())
+        return _projection(frames, s.shape)
 
     def project(
         self, index: np.ndarray, x: np.ndarray, y: np.ndarray, near_s: np.ndarray | None = None
@@ -264,7 +236,7 @@ class TrackSet:
         )
         places = self._spread(index, x), x.ravel(), y.ravel(), near_s.ravel()
         frames = projection.projections(self.points, self.courses, *places)
-        return _projection(frames, frames[:, 8], x.shape)
+        return _projection(frames, x.shape)
 
     def signed_gap(self, index: np.ndarray, ahead: np.ndarray, behind: np.ndarray) -> np.ndarray:
         """Return how far `ahead` lies in front of `behind` along the track [m].
@@ -281,13 +253,9 @@ class TrackSet:
         return gaps.reshape(ahead.shape)
 
     def _spread(self, index: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Return the track of each place, int64 (places.size,).
-
-        Raises:
-            IndexError: there is no such track, or not one for each world: compiled code would read
-                whatever lies in memory there.
-        """
+        """Return the track of each place, int64 (places.size,)."""
         index, number = np.asarray(index, np.int64), len(self.tracks)
+        # Compiled code would read whatever lies in memory there.
         known = index.size == 0 or (index.min() >= 0 and index.max() < number)
         if not known or index.shape != places.shape[: index.ndim]:
             raise IndexError(
@@ -298,9 +266,8 @@ class TrackSet:
         return np.broadcast_to(index.reshape(shape), places.shape).ravel()
 
 
-def _projection(frames: np.ndarray, lateral: np.ndarray, shape: tuple[int, ...]) -> Projection:
-    s, *rest = (frames[:, column].reshape(shape) for column in range(8))
-    return Projection(s, lateral.reshape(shape), *rest)
+def _projection(frames: np.ndarray, shape: tuple[int, ...]) -> Projection:
+    return Projection(*(column.reshape(shape) for column in frames.T))
 
 
 def _points(track: Track) -> np.ndarray:

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_type_hints
 
-import tyro
 from pydantic import TypeAdapter
+from tyro.conf import Fixed, Suppress, arg
 
 from league.agents.network import NetworkConfig
 from league.atomic_file import replacing
@@ -26,11 +26,10 @@ from league.sim.config import CameraConfig, RaceKind, RulesName, SensorConfig
 
 _RACING_ROWS = 1536  # cars in all worlds, where all learn to race on the true state
 _T = TypeVar("_T")
-Hidden = Annotated[_T, tyro.conf.Fixed, tyro.conf.Suppress]  # a setting without a flag
+Hidden = Annotated[_T, Fixed, Suppress]  # a setting without a flag
+# Metadata of settings that a resume may change; without metadata a setting is kept.
 FREE = {"resume": "free"}
-"""Metadata of settings that a resume may change; without metadata a setting is kept."""
-GROWS = {"resume": "grows"}
-"""Metadata of settings that a resume may raise, or set to 0, which is no limit."""
+GROWS = {"resume": "grows"}  # it may be raised, or set to 0, which is no limit
 
 
 def _check(what: str, value: float, low: float, high: float, advice: str) -> None:
@@ -43,16 +42,11 @@ def _check(what: str, value: float, low: float, high: float, advice: str) -> Non
 class PpoConfig:
     """Proximal policy optimisation; pairs are values at the start and the end of the budget."""
 
-    rollout: int = 64
-    """Steps of each world between two updates."""
-    epochs: int = 6
-    """Passes over what was collected."""
-    mini_batches: int = 16
-    """Gradient steps in each pass."""
-    gamma: float = 0.95
-    """Discount of each step (1/15 s); 0.987 by default in head_to_head."""
-    lam: float = 0.9
-    """Lambda of generalised advantage estimation."""
+    rollout: int = 64  # Steps of each world between two updates.
+    epochs: int = 6  # Passes over what was collected.
+    mini_batches: int = 16  # Gradient steps in each pass.
+    gamma: float = 0.95  # Discount of each step (1/15 s); 0.987 by default in head_to_head.
+    lam: float = 0.9  # Lambda of generalised advantage estimation.
     bootstrap_on_failure: bool = False
     """Add the critic's value where a mistake ends an episode: a mistake then costs what the reward
     takes for it, not also all that could have been earned after it. Bolder at the road's edge."""
@@ -62,16 +56,11 @@ class PpoConfig:
     noise: tuple[float, float] = (0.4, 0.06)
     """First and last standard deviation of exploration of continuous actions, falling
     geometrically; 0.3 and 0.05 by default with --init-from, 1 and 0.06 in short runs."""
-    clip: Hidden[float] = 0.2
-    """Largest change of a decision's probability ratio that still counts."""
-    pull: Hidden[float] = 0.1
-    """How strongly means beyond [-1, 1] are pulled back; `BoundedGaussian` in models.py."""
-    entropy: Hidden[tuple[float, float]] = (0.01, 0.0)
-    """Weight of the entropy of discrete actions, falling linearly."""
-    value_clip: Hidden[bool] = False
-    """Whether the critic may move by clip only, as in PPO2."""
-    max_gradient: Hidden[float] = 1.0
-    """Norm to which gradients are cut."""
+    clip: Hidden[float] = 0.2  # Largest change of a decision's probability ratio that still counts.
+    pull: Hidden[float] = 0.1  # Strength by which means beyond [-1, 1] are pulled back (models.py).
+    entropy: Hidden[tuple[float, float]] = (0.01, 0.0)  # Its weight, for discrete actions; linear.
+    value_clip: Hidden[bool] = False  # Whether the critic may move by clip only, as in PPO2.
+    max_gradient: Hidden[float] = 1.0  # Norm to which gradients are cut.
 
     def __post_init__(self) -> None:
         for name in ("rollout", "epochs", "mini_batches"):
@@ -84,10 +73,8 @@ class PpoConfig:
             raise ConfigError(f"exploration noise is {self.noise}: give 0.001 to 5")
 
     def refining(self) -> PpoConfig:
-        """Return the settings for a trained policy, which larger steps would spoil.
-
-        With smaller ones it hardly learns to see what is new to it, such as other cars.
-        """
+        """Return the settings for a trained policy, which larger steps would spoil."""
+        # With smaller ones it hardly learns to see what is new to it, such as other cars.
         return replace(self, learning_rate=(2e-3, 3e-4), noise=(0.3, 0.05))
 
     def hurrying(self) -> PpoConfig:
@@ -111,19 +98,15 @@ class PpoConfig:
 class TrainConfig:
     """The worlds and the learner."""
 
-    kind: RaceKind = "time_trial"
-    """Kind of race."""
+    kind: RaceKind = "time_trial"  # Kind of race.
     num_worlds: int = 64
     """Worlds in the batch; 16 by default in runs of at most 2 minutes or 65,536 decisions, which
     would have too few updates with more."""
-    num_cars: Annotated[int, tyro.conf.arg(name="cars")] = 1
+    num_cars: Annotated[int, arg(name="cars")] = 1
     """Cars in each world, the learner's included; in self-play 2 by default."""
-    seed: int = 0
-    """Seed of weights, worlds and exploration."""
-    device: str = "cpu"
-    """cpu, or cuda; under torchrun each process takes a card of its own."""
-    action_space: Hidden[ActionSpace] = field(default_factory=ContinuousActions)
-    """What the policy may ask for."""
+    seed: int = 0  # Seed of weights, worlds and exploration.
+    device: str = "cpu"  # cpu, or cuda; under torchrun each process takes a card of its own.
+    action_space: Hidden[ActionSpace] = field(default_factory=ContinuousActions)  # Of the policy.
     sensors: Hidden[SensorConfig] = field(
         default_factory=lambda: SensorConfig(camera=CameraConfig(width=64, height=48))
     )
@@ -132,44 +115,35 @@ class TrainConfig:
         default_factory=lambda: NetworkConfig(strides=(4, 2, 1), activation="elu")
     )
     """Its layers."""
-    critic_hidden: Hidden[tuple[int, ...]] = (128, 128)
-    """Layers of the critic, which sees the true state."""
-    reward: Hidden[RewardConfig] = field(default_factory=RewardConfig)
-    """Weights of the built-in terms, unless a reward function is given."""
+    critic_hidden: Hidden[tuple[int, ...]] = (128, 128)  # Layers of the critic, who sees the truth.
+    reward: Hidden[RewardConfig] = field(default_factory=RewardConfig)  # Weights of built-in terms.
     teacher: float = 0.0
     """Share of the budget in which a teacher that sees the true state learns first, for the policy
     to learn from: 0.4, say, for the fastest laps. The policy begins with three eighths of
     --noise."""
-    symmetry: bool = True
-    """Learn from mirror images too, where actions and sensors have them."""
-    both_directions: bool = False
-    """Learn the tracks in both directions."""
+    symmetry: bool = True  # Learn from mirror images too, where actions and sensors have them.
+    both_directions: bool = False  # Learn the tracks in both directions.
     dynamics_randomization: float = 0.0
     """How far grip, mass, latency, steering and camera of the cars differ: 1 as cars of one model
     do, less in proportion; 0: not at all."""
-    visual_randomization: bool = False
-    """Draw light, colours, noise and blur of the pictures."""
+    visual_randomization: bool = False  # Draw light, colours, noise and blur of the pictures.
     rules: RulesName = "league"
     """Which car is to blame and what it costs: as docs/rules.md has it, or as in the original."""
     obstacles: int | None = None
     """Boxes or bots on the track, in obstacle_avoidance (by default 6) or in head_to_head."""
-    bots: bool = False
-    """Slow bot cars instead of boxes."""
-    episode_s: Hidden[float] = 40.0
-    """Longest episode [s]."""
+    bots: bool = False  # Slow bot cars instead of boxes.
+    episode_s: Hidden[float] = 40.0  # Longest episode [s].
     save_every: Hidden[int] = 4
     """Updates between two save points, at which all rows restart, interrupted or not, so that a
     resumed run ends in the same weights."""
-    ppo: Annotated[PpoConfig, tyro.conf.arg(name="")] = field(default_factory=PpoConfig)
-    """The learner."""
+    ppo: Annotated[PpoConfig, arg(name="")] = field(default_factory=PpoConfig)  # The learner.
 
     def __post_init__(self) -> None:
         _check("num_worlds", self.num_worlds, 1, 65_536, "1 to 65536")
         _check("seed", self.seed, 0, 2**31 - 1, f"0 to {2**31 - 1}")
-        none_to = "0, which is none, to"
-        _check("the teacher's share of the budget", self.teacher, 0, 0.9, f"{none_to} 0.9")
-        spread = self.dynamics_randomization
-        _check("dynamics_randomization", spread, 0, 2, f"{none_to} 2")
+        none = "0, which is none, to"
+        _check("the teacher's share of the budget", self.teacher, 0, 0.9, f"{none} 0.9")
+        _check("dynamics_randomization", self.dynamics_randomization, 0, 2, f"{none} 2")
         _check("save_every", self.save_every, 1, math.inf, "at least 1")
 
     @property
@@ -179,6 +153,7 @@ class TrainConfig:
 
     def on_truth(self) -> TrainConfig:
         """Return the settings of learning to race on the true state, for a run with these."""
+        ppo = PpoConfig(rollout=32, mini_batches=12)
         return replace(
             self,
             sensors=SensorConfig(truth=True),
@@ -191,12 +166,7 @@ class TrainConfig:
             symmetry=False,
             teacher=0.0,
             save_every=24,
-            ppo=replace(
-                PpoConfig(rollout=32, mini_batches=12).racing(),
-                epochs=2,
-                learning_rate=(3e-3, 3e-4),
-                noise=(0.4, 0.1),
-            ),
+            ppo=replace(ppo.racing(), epochs=2, learning_rate=(3e-3, 3e-4), noise=(0.4, 0.1)),
         )
 
     def with_ppo(self, **changes: object) -> TrainConfig:
@@ -208,48 +178,39 @@ class TrainConfig:
 class RunConfig:
     """All that decides a run; kept in its folder as settings.json, so that it can be resumed."""
 
-    name: Hidden[str] = "policy"
-    """What the policy is called."""
-    tracks: Annotated[tuple[str, ...], tyro.conf.arg(name="track")] = ("reinvent_2018",)
+    name: Hidden[str] = "policy"  # What the policy is called.
+    tracks: Annotated[tuple[str, ...], arg(name="track")] = ("reinvent_2018",)
     """Tracks or track files to learn on; generated:N are N random ones."""
     reward: str = "progress"
     """centerline, progress, race or racing_line, or a DeepRacer reward file (FILE.py)."""
     minutes: float = field(default=5.0, metadata=GROWS)
     """Stop after this long; 0: no limit, which is the default where --steps is given."""
-    steps: int = field(default=0, metadata=GROWS)
-    """Stop after so many decisions; 0: no limit."""
+    steps: int = field(default=0, metadata=GROWS)  # Stop after so many decisions; 0: no limit.
     stop_when_complete: int = 0
     """Stop after so many evaluations in a row with every lap complete; 0: never."""
-    opponents: tuple[str, ...] = ()
-    """Drivers or checkpoints to race against, in head_to_head."""
+    opponents: tuple[str, ...] = ()  # Drivers or checkpoints to race against, in head_to_head.
     self_play: bool = False
     """Learn to race against itself, in head_to_head: first a network that sees the true state, in
     --teacher of the budget, then the policy from it and by its own races."""
-    init_from: str = ""
-    """Start with the weights of this checkpoint, or policy of the garage."""
-    train: Annotated[TrainConfig, tyro.conf.arg(name="")] = field(default_factory=TrainConfig)
+    init_from: str = ""  # Start with the weights of this checkpoint, or policy of the garage.
+    train: Annotated[TrainConfig, arg(name="")] = field(default_factory=TrainConfig)
     """The learner and its worlds."""
-    eval_tracks: Annotated[tuple[str, ...], tyro.conf.arg(name="eval-track")] = field(
+    eval_tracks: Annotated[tuple[str, ...], arg(name="eval-track")] = field(
         default=(), metadata=FREE
     )
     """Where to evaluate it; none: on up to four tracks of training, or twelve random ones."""
     eval_opponents: tuple[str, ...] = field(default=(), metadata=FREE)
     """Drivers that race against it in each evaluation."""
-    eval_laps: Hidden[int] = field(default=3, metadata=FREE)
-    """Laps of each run of an evaluation."""
-    eval_trials: int = field(default=1, metadata=FREE)
-    """Runs of each evaluation on each track."""
-    eval_every: int = field(default=1, metadata=FREE)
-    """Save points between two evaluations."""
+    eval_laps: Hidden[int] = field(default=3, metadata=FREE)  # Laps of each run of an evaluation.
+    eval_trials: int = field(default=1, metadata=FREE)  # Runs of each evaluation on each track.
+    eval_every: int = field(default=1, metadata=FREE)  # Save points between two evaluations.
     simtrace: bool = field(default=False, metadata=FREE)
     """Write each step into NAME.run/simtrace, in the folders and files that community log tools
     read."""
     threads: int = 1
     """Threads of torch, on which the last bits depend; the evaluations take one more."""
-    licence: str = "CC-BY-4.0"
-    """Licence of the weights, an SPDX name."""
-    command: Hidden[str] = ""
-    """The command line."""
+    licence: str = "CC-BY-4.0"  # Licence of the weights, an SPDX name.
+    command: Hidden[str] = ""  # The command line.
 
     def __post_init__(self) -> None:
         if self.eval_every < 1 or self.eval_laps < 1 or self.eval_trials < 1:
@@ -281,10 +242,7 @@ class RunConfig:
 
 
 def check_resumed(cfg: RunConfig, stored: RunConfig, folder: Path) -> None:
-    """Check that a run that was started with the settings `stored` may go on with these.
-
-    ConfigError says which setting differs that may not, or that the budget is smaller.
-    """
+    """Check that a run of the settings `stored` may go on with these; ConfigError says why not."""
     changed = list(_differences(cfg, stored))
     kept = [flag for flag, rule, *_ in changed if rule == "kept"]
     if kept:

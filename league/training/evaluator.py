@@ -45,8 +45,10 @@ class EvalResult(NamedTuple):
 def evaluate_policy(cfg: EvalConfig, checkpoint: Checkpoint) -> Evaluation:
     """Return the evaluation of a policy, with the trials of several tracks numbered through."""
     car = SimConfig().car
-    evaluations = [
-        evaluate(
+    evaluations: list[Evaluation] = []
+    trials: list[Trial] = []
+    for number, track in enumerate(cfg.tracks):
+        evaluation = evaluate(
             Policy(checkpoint, car),
             track,
             laps=cfg.laps,
@@ -57,24 +59,19 @@ def evaluate_policy(cfg: EvalConfig, checkpoint: Checkpoint) -> Evaluation:
             obstacles=cfg.obstacles,
             opponents=[roster.load(name, TrackSet(track), car) for name in cfg.opponents],
         )
-        for track in cfg.tracks
-    ]
-    first = evaluations[0]
-    if len(evaluations) == 1:
-        return first
-    trials: list[Trial] = []
-    for number, evaluation in enumerate(evaluations):
+        evaluations.append(evaluation)
         for trial in evaluation.trials:
             run = number * cfg.trials + trial.run
             trials.append(trial.model_copy(update={"trial": len(trials) + 1, "run": run}))
-    return first.model_copy(
-        update={
-            "track": f"{len(evaluations)} tracks",
-            "asked": sum(evaluation.asked for evaluation in evaluations),
-            "trials": tuple(trials),
-            "places": tuple(place for evaluation in evaluations for place in evaluation.places),
-        }
-    )
+    if len(evaluations) == 1:
+        return evaluations[0]
+    together = {
+        "track": f"{len(evaluations)} tracks",
+        "asked": sum(one.asked for one in evaluations),
+        "trials": tuple(trials),
+        "places": tuple(place for one in evaluations for place in one.places),
+    }
+    return evaluations[0].model_copy(update=together)
 
 
 def clean_share(cfg: EvalConfig, checkpoint: Checkpoint) -> float:
@@ -92,14 +89,10 @@ def merit_of(evaluation: Evaluation) -> tuple[float, ...]:
     return (-fmean(evaluation.places), *driven) if evaluation.places else driven
 
 
-MODULES = (
-    "league.agents.policy",
-    "league.agents.roster",
-    "league.racing.evaluate",
-    "league.sim.physics.bullet",
-    "league.sim.camera.renderer",
+MODULES = (  # that an evaluating process imports
+    *("league.agents.policy", "league.agents.roster", "league.racing.evaluate"),
+    *("league.sim.physics.bullet", "league.sim.camera.renderer"),
 )
-"""Modules that an evaluating process imports."""
 
 
 class Evaluator:

@@ -14,14 +14,7 @@ from league.agents.policy import Policy
 from league.atomic_file import replacing
 from league.envs import rewards
 from league.envs.rewards import Reward
-from league.errors import (
-    ConfigError,
-    LeagueError,
-    PolicyError,
-    brief,
-    explaining,
-    first_problem,
-)
+from league.errors import ConfigError, LeagueError, PolicyError, brief, explaining, first_problem
 from league.racing import duels, trace
 from league.racing.duels import DuelConfig, Threshold
 from league.racing.table import Evaluation
@@ -38,8 +31,7 @@ from league.training.ppo.teacher import make_taught
 
 _DUELS = 60  # races at each pace, for the card of a policy of self-play
 _CARD_OF_TRAINING = ("sensors", "action_space", "network", "kind", "seed")
-CRITIC_FIRST = 4
-"""Updates from which only the critic learns, where the actor starts as another policy."""
+CRITIC_FIRST = 4  # Updates from which only the critic learns, where the actor begins trained.
 
 
 @dataclass(frozen=True)
@@ -51,8 +43,7 @@ class Outcome:
     samples: int  # decisions learnt from
     time_s: float  # learning time, of earlier parts too [s]
     why: str  # why it stopped
-    # of self-play: how fast a rival the policy passes, and keeps behind
-    duels: Threshold | None = None
+    duels: Threshold | None = None  # of self-play: which rivals it passes, and keeps behind
 
 
 class Run:
@@ -64,8 +55,7 @@ class Run:
     def __init__(self, cfg: RunConfig, folder: Path, *, background: bool = True) -> None:
         """Build worlds, learner and evaluator; LeagueError if settings are unknown or contradict.
 
-        Nothing is written before the first update. The folder is this run's alone; without
-        `background` evaluations come between updates.
+        Nothing is written yet. Without `background` evaluations come between updates.
         """
         cfg.check()
         self.cfg, self.folder = cfg, folder
@@ -76,8 +66,7 @@ class Run:
         self._eval_cfg = _eval_config(cfg)
         self._parents: tuple[str, ...] = ()
         self._reward, self._reward_card = _reward(cfg)
-        self.spent_s = 0.0
-        """Learning time so far, of earlier parts too [s]."""
+        self.spent_s = 0.0  # Learning time so far, of earlier parts too [s].
         self._complete = 0
         self._check_card()
         # Each rank its own device, before any is touched.
@@ -100,13 +89,12 @@ class Run:
         # After what is refused at once, and before what takes seconds: it loads meanwhile.
         leads = distributed.is_first()
         self._evaluator = Evaluator(self._eval_cfg, background=background and leads)
+        sim = make_env.env_config(train).sim
         if self._reward is None:
-            car = make_env.env_config(train).sim.car
-            self._reward = rewards.built_in(cfg.reward, tracks, car)
+            self._reward = rewards.built_in(cfg.reward, tracks, sim.car)
         self._traces = folder / run_folder.SIMTRACE
         self._simtrace: TrainingTrace | None = None
         if cfg.simtrace and leads:
-            sim = make_env.env_config(train).sim
             self._simtrace = TrainingTrace(self._reward, self._traces, train.action_space, sim)
         reward = self._simtrace or self._reward
         with memory_explained():
@@ -116,9 +104,8 @@ class Run:
                 self.learner = make_racing(tracks, train, reward=own)
             else:
                 make = make_taught if train.teacher else make_learner
-                self.learner = make(
-                    tracks, train, opponents=dict(enumerate(cfg.opponents, 1)), reward=reward
-                )
+                opponents = dict(enumerate(cfg.opponents, 1))
+                self.learner = make(tracks, train, opponents=opponents, reward=reward)
         if self._parent is not None:
             self.learner.load_weights(self._parent.weights)
         self._submitted: dict[int, Checkpoint] = {}
@@ -142,7 +129,7 @@ class Run:
         more = self.cfg.budget != config.read(self.folder).budget
         if more:
             self._complete = 0  # more time is given for more than complete laps
-        distributed.wait()  # all have read before the first one writes
+        distributed.gather(None)  # all have read before the first one writes
         if not distributed.is_first():
             return
         self._lock = run_folder.lock(self.folder)
@@ -180,11 +167,7 @@ class Run:
         try:
             if self.learner.updates == 0 and distributed.is_first():
                 self._prepare()
-        except BaseException:
-            self.close()
-            raise
-        started = time.perf_counter() - self.spent_s
-        try:
+            started = time.perf_counter() - self.spent_s
             with distributed.interrupted_together() as interruption_point:
                 while not distributed.agreed(bool(self.over)):
                     update = self._updated()
@@ -307,9 +290,8 @@ class Run:
         if best:
             self._best, self._best_evaluation = merit, evaluation
             self._save_best(policy, {"updates": float(number), **evaluation.summary})
-        self.history.add_evaluation(
-            evaluation, number, time_s=self.spent_s, took_s=waited_s, best=best
-        )
+        spent = {"time_s": self.spent_s, "took_s": waited_s}
+        self.history.add_evaluation(evaluation, number, **spent, best=best)
 
     @memory_explained()
     def _finish(self, callbacks: Sequence[TrainingCallback]) -> None:
@@ -364,17 +346,14 @@ class Run:
             changes = {"sensors": racer.cfg.sensors, "network": racer.cfg.network}
             card = self._card(racer.samples).model_copy(update=changes)
             checkpoint.save(self.folder / "truth.pt", Checkpoint(card, racer.weights()))
-        notes: dict[str, object] = {
-            "spent_s": self.spent_s,
-            "complete": self._complete,
-            "best": list(self._best or ()),
-        }
+        notes: dict[str, object] = {"spent_s": self.spent_s, "complete": self._complete}
+        notes["best"] = list(self._best or ())
         if self._simtrace is not None:
             self._simtrace.flush()
             notes["simtrace"] = list(self._simtrace.position)
         self.learner.save(self.folder / "state.pt", notes)
-        printed = getattr(self._reward, "printed", ())  # of a reward file, not of a built-in one
-        if printed:
+        # Of a reward file, not of a built-in one.
+        if printed := getattr(self._reward, "printed", ()):
             path = self.folder / run_folder.PRINTED
             with replacing(path, "what the reward function printed", PolicyError) as file:
                 file.write_text("".join(f"{line}\n" for line in printed), encoding="utf-8")

@@ -6,7 +6,6 @@ import io
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from av.video.reformatter import ColorRange, Colorspace
 from league.atomic_file import replacing
 from league.errors import ReplayError
 from league.portable_math import direction
-from league.replay import Replay, director
+from league.replay import Replay, broadcast
 from league.sim.camera import painting
 from league.sim.camera.ground import floor_of
 from league.sim.camera.renderer import Painter
@@ -34,35 +33,22 @@ from league.video.pixels import draw_shadow
 
 SIZE = (1280, 720)
 FPS = 30
-AFTER_FINISH_S = 2.0
-"""How long a car that has finished is still followed [s]."""
-HOLD_S = 4.0
-"""Time at the end for the classification [s]."""
-DARK = 0.3
-"""Brightness above the walls, as a share of theirs: a hall and not a strip of sky."""
+AFTER_FINISH_S = 2.0  # how long a car that has finished is still followed [s]
+HOLD_S = 4.0  # time at the end for the classification [s]
+DARK = 0.3  # brightness above the walls, as a share of theirs: a hall and not a strip of sky
 LABEL_UP, LABEL_REACH = 0.24, 5.0
 """Where a car's name is: above the floor, and this far from the camera at most [m]."""
 BEHIND, ABOVE, TILT = 1.12, 0.56, 0.27
 """Where the chase camera is: behind its frame [m], above the floor [m], tilted down [rad]."""
-VIEW = 1.15
-"""Its horizontal field of view [rad]."""
-WALL_GAP = 0.06
-"""How near to the wall it goes [m]."""
+VIEW = 1.15  # its horizontal field of view [rad]
+WALL_GAP = 0.06  # how near to the wall it goes [m]
 SHADOW_EDGE, SHADOW_KEPT = 0.025, 0.45
 """Half the width of a shadow's soft edge [m]; the brightness that is left in it, as a share."""
 BATCH = 8
-
-
-@dataclass(frozen=True)
-class Coding:
-    """How pictures are compressed."""
-
-    crf: int = 23
-    """Constant rate factor of x264: smaller is finer and larger."""
-    preset: str = "veryfast"
-    """Speed of x264, ultrafast to placebo."""
-    keyframe_s: float = 2.0
-    """Longest time between two key frames [s]: what a viewer decodes at most when it seeks."""
+CRF, PRESET = 25, "superfast"
+"""Of x264: as fine as "veryfast" in three fifths of its time; the file is half as large again."""
+KEYFRAME_S = 2.0
+"""Longest time between two key frames [s]: what a viewer decodes at most when it seeks."""
 
 
 class Mp4:
@@ -71,14 +57,36 @@ class Mp4:
     Add pictures, then close it, best in a with block.
     """
 
-    def __init__(self, target: str | io.BytesIO, fps: int, coding: Coding | None = None) -> None:
-        """Open a video in a file or in memory, at `fps` pictures per second."""
-        self._fps, self._coding = fps, coding or Coding()
+    def __init__(
+        self,
+        target: str | io.BytesIO,
+        size: tuple[int, int],
+        fps: int,
+        crf: int = CRF,
+        preset: str = PRESET,
+    ) -> None:
+        """Open a video in a file or in memory, at `fps` pictures per second.
+
+        `size` is width and height [px], both even; `crf` and `preset` are fineness and speed of
+        x264.
+        """
         # In a file the index stands in front, so that a player can start before it has all of it.
         options = {"movflags": "+faststart"} if isinstance(target, str) else {}
         self._container = av.open(target, "w", format="mp4", options=options)
-        self._stream: av.VideoStream | None = None
+        self._stream = stream = self._container.add_stream("libx264", rate=fps)
         self.count = 0
+        context = stream.codec_context
+        stream.width, stream.height = size
+        stream.pix_fmt = "yuv420p"
+        stream.time_base = context.time_base = Fraction(1, fps)
+        context.gop_size = round(fps * KEYFRAME_S)
+        context.max_b_frames = 0
+        # One thread a video: several videos are made side by side, and the bytes stay the same.
+        context.thread_count = 1
+        # OpenCV's planes are BT.601 at studio range; untagged, players would guess by the size.
+        context.colorspace = Colorspace.ITU601
+        context.color_range = ColorRange.MPEG
+        stream.options = {"crf": str(crf), "preset": preset, "bf": "0"}
 
     def __enter__(self) -> Mp4:
         return self
@@ -87,9 +95,7 @@ class Mp4:
         self.close()
 
     def add(self, picture: np.ndarray) -> None:
-        """Append a picture: RGB uint8, (height, width, 3), all of one size with even sides."""
-        if self._stream is None:
-            self._stream = self._begin(picture.shape[1], picture.shape[0])
+        """Append a picture: RGB uint8, (height, width, 3)."""
         planes = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2YUV_I420), dtype=np.uint8)
         frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
         frame.pts = self.count
@@ -105,32 +111,10 @@ class Mp4:
     def close(self) -> None:
         """Write what is still held and the index."""
         try:
-            if self._stream is not None:
-                for packet in self._stream.encode():
-                    self._container.mux(packet)
+            for packet in self._stream.encode():
+                self._container.mux(packet)
         finally:
             self._container.close()
-
-    def _begin(self, width: int, height: int) -> av.VideoStream:
-        if height % 2 or width % 2:
-            raise ValueError(f"a video's sides must be even, not {width}x{height}")
-        stream = self._container.add_stream("libx264", rate=self._fps)
-        context = stream.codec_context
-        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-        stream.time_base = context.time_base = Fraction(1, self._fps)
-        context.gop_size = max(1, round(self._fps * self._coding.keyframe_s))
-        context.max_b_frames = 0
-        # One thread a video: several videos are made side by side, and the bytes stay the same.
-        context.thread_count = 1
-        # OpenCV's planes are BT.601 at studio range; untagged, players would guess by the size.
-        context.colorspace = Colorspace.ITU601
-        context.color_range = ColorRange.MPEG
-        stream.options = {"crf": str(self._coding.crf), "preset": self._coding.preset, "bf": "0"}
-        return stream
-
-
-CODING = Coding(crf=25, preset="superfast")
-"""As fine as "veryfast" in three fifths of its time; the file is half as large again."""
 
 
 class Film:
@@ -155,7 +139,7 @@ class Film:
         self._size = size
         self.ends_s = min(replay.decided_s + AFTER_FINISH_S, replay.duration_s)
         """When the classification is shown: shortly after the last fight is decided [s]."""
-        self._path = director.chase_path(replay)
+        self._path = broadcast.chase_path(replay)
         self._hud = Hud(replay, width, height, self._path.fights)
 
     def pictures(self, times_s: np.ndarray) -> list[np.ndarray]:
@@ -271,7 +255,7 @@ def render(
     count = round((film.ends_s + HOLD_S) * fps) + 1
     with (
         replacing(path_mp4, "the video", ReplayError, also=(FFmpegError,)) as file,
-        Mp4(str(file), fps, CODING) as video,
+        Mp4(str(file), size, fps) as video,
         # While one batch is compressed, the next is drawn.
         ThreadPoolExecutor(max_workers=1) as pool,
     ):

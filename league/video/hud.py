@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from league import times
-from league.replay import Replay, commentary
+from league.replay import Replay, broadcast
 from league.sim.camera.scene import CAR_COLOURS
 from league.sim.camera.scene_state import SceneState
 from league.sim.records import World
@@ -24,37 +24,33 @@ PANEL: Rgb = (13, 17, 23)
 PANEL_OPACITY = 0.72
 _LETTERS = 200  # longest text drawn; a longer one would not fit anyway
 
-CAPTION_S = 2.6
-"""How long an event stays [s]."""
+CAPTION_S = 2.6  # how long an event stays [s]
 FADE_S = 0.25
 SILENT = frozenset(
     {"start", "contact", "put_back", "lead_change", "attack", "side_by_side", "closest_fight"}
 )
 """Lines of the story without a caption: the picture shows them."""
-FIGHT_HZ = 5
-"""How often the gap of a fight changes: faster, it could not be read."""
+FIGHT_HZ = 5  # how often the gap of a fight changes: faster, it could not be read
 NAME_LETTERS = 18
 
-_MARGIN = 0.35
-"""How much of the field round the road the top view shows [m]."""
-_LARGER = 1.6
-"""Its cars are drawn this much larger than they are, to be seen."""
+_MARGIN = 0.35  # how much of the field round the road the top view shows [m]
+_LARGER = 1.6  # its cars are drawn this much larger than they are, to be seen
 _DIMMED = 0.62
+
+Chip = tuple[int, int, int]  # width, height and radius of its corners
 
 
 class Hud:
     """Draws the broadcast's graphics for one replay at one size."""
 
-    def __init__(
-        self, replay: Replay, width: int, height: int, fights: tuple[str, ...] = ()
-    ) -> None:
+    def __init__(self, replay: Replay, width: int, height: int, fights: tuple[str, ...]) -> None:
         self._replay, self._fights = replay, fights
         self._width, self._height = width, height
         self._unit = height / 720
         self._order = replay.running_order
         self._gaps = replay.gaps_s
         self._speeds = replay.speeds
-        self._captions = [line for line in commentary.of_replay(replay) if line.kind not in SILENT]
+        self._captions = [line for line in broadcast.of_replay(replay) if line.kind not in SILENT]
         self._finish = {car.car: car for car in replay.result.order if car.finished}
         self._top_view = TopView(replay, self._px(330), self._px(230))
 
@@ -74,8 +70,8 @@ class Hud:
             name = _short(self._replay.names[car])
             width = text_width(name, px(16), 500) + px(26)
             left, top = x - width // 2, y - px(26)
-            put_panel(picture, left, top, width, px(26), radius=px(8), opacity=0.55)
-            self._draw_chip(picture, car, left + px(5), top + px(6), 5, 14, 2)
+            put_panel(picture, (left, top, width, px(26)), px(8), opacity=0.55)
+            self._draw_chip(picture, car, left + px(5), top + px(6), (5, 14, 2))
             put_text(picture, name, left + px(16), top + px(1), px(16), weight=500)
 
     def draw_result(self, picture: np.ndarray) -> None:
@@ -85,7 +81,7 @@ class Hud:
         row_height, width = px(44), px(760)
         height = px(112) + row_height * len(result.order)
         left, top = (self._width - width) // 2, (self._height - height) // 2
-        put_panel(picture, left, top, width, height, radius=px(14), opacity=0.9)
+        put_panel(picture, (left, top, width, height), px(14), opacity=0.9)
         title = f"{self._replay.track.title}: {result.spec.kind.replace('_', ' ')}"
         put_text(picture, title[:44], left + px(28), top + px(14), px(28), weight=700)
         columns = {"total": px(470), "best lap": px(610), "penalty": width - px(28)}
@@ -93,7 +89,7 @@ class Hud:
             put_text(picture, name, left + x, top + px(58), px(17), DIM, right=True)
         for row, car in enumerate(result.order):
             y = top + px(90) + row * row_height
-            self._draw_chip(picture, car.car, left + px(28), y + px(4), 30, 30, 7)
+            self._draw_chip(picture, car.car, left + px(28), y + px(4), (30, 30, 7))
             self._draw_place(picture, car.place, left + px(43), y + px(6), px(19))
             put_text(picture, _short(car.name), left + px(76), y + px(4), px(22), weight=500)
             values = {
@@ -109,19 +105,11 @@ class Hud:
         return max(1, round(units * self._unit))
 
     def _draw_chip(
-        self,
-        picture: np.ndarray,
-        car: int,
-        x: int,
-        y: int,
-        width: int,
-        height: int,
-        radius: int,
-        opacity: float = 1.0,
+        self, picture: np.ndarray, car: int, x: int, y: int, size: Chip, opacity: float = 1.0
     ) -> None:
-        """Draw a panel of a car's colour at a pixel; its sizes are those in a picture 720 high."""
-        size, colour = (self._px(width), self._px(height)), CAR_COLOURS[car]
-        put_panel(picture, x, y, *size, radius=self._px(radius), colour=colour, opacity=opacity)
+        """Draw a panel of a car's colour at a pixel; its size is that in a picture 720 high."""
+        width, height, radius = map(self._px, size)
+        put_panel(picture, (x, y, width, height), radius, CAR_COLOURS[car], opacity)
 
     @staticmethod
     def _draw_place(picture: np.ndarray, place: int, middle: int, y: int, size: int) -> None:
@@ -137,7 +125,7 @@ class Hud:
         time_text = times.clock(min(time_s, self._replay.duration_s), 2)
         lap_width = text_width(lap, px(30), 700)
         width = lap_width + px(150)
-        put_panel(picture, px(24), px(24), width, px(56), radius=px(10))
+        put_panel(picture, (px(24), px(24), width, px(56)), px(10))
         put_text(picture, lap, px(40), px(29), px(30), weight=700)
         x = px(24) + width - px(16)
         put_text(picture, time_text, x, px(34), px(24), DIM, weight=500, right=True)
@@ -146,10 +134,10 @@ class Hud:
         px = self._px
         row_height, width, top = px(36), px(300), px(90)
         rows = self._replay.num_cars
-        put_panel(picture, px(24), top, width, rows * row_height + px(12), radius=px(10))
+        put_panel(picture, (px(24), top, width, rows * row_height + px(12)), px(10))
         for place, car in enumerate(self._places(frame, time_s)):
             y = top + px(6) + place * row_height
-            self._draw_chip(picture, car, px(34), y + px(5), 26, 26, 6)
+            self._draw_chip(picture, car, px(34), y + px(5), (26, 26, 6))
             self._draw_place(picture, place + 1, px(47), y + px(6), px(17))
             name = _short(self._replay.names[car])
             put_text(picture, name, px(72), y + px(4), px(19), weight=500)
@@ -187,20 +175,20 @@ class Hud:
             opacity = float(np.clip(min(age + 0.05, CAPTION_S - age) / FADE_S, 0.0, 1.0))
             y = self._height - px(78) - row * px(54)
             width = text_width(line.text, px(22), 500) + px(48)
-            put_panel(picture, px(24), y, width, px(46), radius=px(10), opacity=0.78 * opacity)
-            self._draw_chip(picture, line.car, px(34), y + px(10), 6, 26, 3, opacity)
+            put_panel(picture, (px(24), y, width, px(46)), px(10), opacity=0.78 * opacity)
+            self._draw_chip(picture, line.car, px(34), y + px(10), (6, 26, 3), opacity)
             put_text(picture, line.text, px(52), y + px(6), px(22), weight=500, opacity=opacity)
 
     def _draw_fight(self, picture: np.ndarray, frame: int) -> None:
         """Write who attacks which car and the gap in seconds, at the top of the picture."""
         every = max(1, self._replay.step_hz // FIGHT_HZ)
-        text = self._fights[frame - frame % every] if self._fights else ""
+        text = self._fights[frame - frame % every]
         if not text:
             return
         px = self._px
         width = text_width(text, px(22), 600) + px(40)
         left = (self._width - width) // 2
-        put_panel(picture, left, px(24), width, px(46), radius=px(10))
+        put_panel(picture, (left, px(24), width, px(46)), px(10))
         put_text(picture, text, left + px(20), px(30), px(22), weight=600)
 
     def _draw_map(self, picture: np.ndarray, world: World, row: int) -> None:
@@ -210,7 +198,7 @@ class Hud:
         x, y = self._width - width - px(24), self._height - height - px(24)
         edge, colour = px(2), (235, 238, 240)
         frame = x - edge, y - edge, width + 2 * edge, height + 2 * edge
-        put_panel(picture, *frame, radius=px(12), colour=colour, opacity=0.85)
+        put_panel(picture, frame, px(12), colour, opacity=0.85)
         # With round corners; a picture too small for it cuts it off.
         region = picture[y : y + height, x : x + width]
         shown = inset[: region.shape[0], : region.shape[1]]
@@ -261,7 +249,7 @@ def text_mask(text: str, size: int, weight: int) -> np.ndarray:
     return np.ascontiguousarray(canvas[:, :right, 0])
 
 
-def text_width(text: str, size: int, weight: int = 400) -> int:
+def text_width(text: str, size: int, weight: int) -> int:
     """Return how many pixels a text takes across."""
     return text_mask(text, size, weight).shape[1]
 
@@ -300,16 +288,13 @@ def _rounded(width: int, height: int, radius: int) -> np.ndarray:
 
 def put_panel(
     picture: np.ndarray,
-    x: int,
-    y: int,
-    width: int,
-    height: int,
-    *,
+    box: tuple[int, int, int, int],
     radius: int,
     colour: Rgb = PANEL,
     opacity: float = PANEL_OPACITY,
 ) -> None:
-    """Fill a rectangle with round corners."""
+    """Fill a rectangle with round corners; it is left, top, width and height."""
+    x, y, width, height = box
     _blend(picture, _rounded(width, height, radius), x, y, colour, opacity)
 
 

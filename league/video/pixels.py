@@ -11,14 +11,10 @@ from league.jit import compiled
 def draw_shadow(picture, start, outline, edge, kept, optics, view):
     """Darken the floor inside a convex outline, from row start on, of the first eye's picture.
 
-    Args:
-        picture: (height, width * 3) uint8; changed in place.
-        start: the first row.
-        outline: outward normal and offset of each side, n . p <= d inside, world frame; (sides, 3).
-        edge: how far inside the outline the shadow is full, and outside it none [m].
-        kept: share of the brightness that is left in the full shadow.
-        optics: the lens, tables.Optics.
-        view: where the camera is, tables.Pose; it does not roll.
+    The picture is uint8 (height, width * 3), the outline the outward normal and offset of each side
+    in the world's frame, n . p <= d inside, (sides, 3). `edge` is how far inside the outline the
+    shadow is full, and outside it none [m], `kept` the share of the brightness that is left in it.
+    The view, a Pose, does not roll.
     """
     for row in range(start, len(picture)):
         down = row - optics.cy
@@ -51,13 +47,9 @@ def draw_shadow(picture, start, outline, edge, kept, optics, view):
 
 @compiled
 def mix(region, paint, mask, opacity):
-    """Mix paint into a part of a picture where the mask covers it.
+    """Mix paint into a part of a picture, both uint8 (height, width, 3), in place.
 
-    Args:
-        region: the part, (height, width, 3) uint8; changed in place.
-        paint: (height, width, 3) uint8.
-        mask: 255 where the paint covers, (height, width) uint8.
-        opacity: of the paint, in 256ths.
+    The mask, uint8 (height, width), is 255 where the paint covers; its opacity is in 256ths.
     """
     for v in range(region.shape[0]):
         for u in range(region.shape[1]):

@@ -7,7 +7,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from league.errors import ConfigError, ReplayError
+from league.errors import ReplayError
 from league.replay import Replay
 from league.sim.camera.ground import floor_of
 from league.sim.camera.renderer import Painter, PaintRenderer
@@ -19,24 +19,18 @@ from league.sim.records import World
 from league.track.markings import SHIFT, Colour, Plan, placed
 from league.track.track import Track, TrackSet
 
-CHASE_BEHIND = 0.78
-"""How far behind a car's base the chase camera flies [m]."""
-CHASE_UP = 0.46
-"""How high [m]."""
-CHASE_PITCH = 0.33
-"""How far it looks down [rad]."""
-CHASE_FIELD_OF_VIEW = 1.15
-"""Across [rad]."""
+CHASE_BEHIND = 0.78  # how far behind a car's base the chase camera flies [m]
+CHASE_UP = 0.46  # how high [m]
+CHASE_PITCH = 0.33  # how far it looks down [rad]
+CHASE_FIELD_OF_VIEW = 1.15  # across [rad]
 
 STRIP_COLUMNS, STRIP_ROWS = 4, 2
 STRIP_CAMERA = CameraConfig(width=240, height=180, colour=True, eyes="left")
 """The stock mount and lens, with more pixels than the drivers get, so that people see something."""
-STRIP_QUALITY = 80
-"""Of the JPEG."""
+STRIP_QUALITY = 80  # of the JPEG
 
 _FINER = 2  # drawn this much larger, then averaged: smooth edges
 _BACKDROP = (24, 29, 36)
-_SMOOTHED = 2_000_000  # pixels of the largest picture for which that is done
 _SMALLEST_CAR = 16  # pixels from nose to tail in the view from above
 _DARK = (16, 18, 22)
 _LEFT_SIDE = np.array([(0.162, 0.045), (0.128, 0.094), (-0.140, 0.098), (-0.162, 0.080)])
@@ -52,7 +46,6 @@ def chase_view(
 
     RGB uint8, (height, width, 3).
     """
-    _check_size(width, height)
     state = SceneState(sim, world.row(row))
     track = tracks.tracks[state.track[0]]
     focal = width * _FINER / 2 / math.tan(CHASE_FIELD_OF_VIEW / 2)
@@ -70,27 +63,21 @@ def top_view(
     tracks: TrackSet, sim: SimConfig, world: World, row: int, width: int, height: int
 ) -> np.ndarray:
     """Return the whole room of a world from above, +y up, RGB uint8, (height, width, 3)."""
-    _check_size(width, height)
     state = SceneState(sim, world.row(row))
-    finer = _FINER if width * height <= _SMOOTHED else 1
-    plan = _room(tracks.tracks[state.track[0]], width * finer, height * finer)
+    plan = _room(tracks.tracks[state.track[0]], width * _FINER, height * _FINER)
     plan = replace(plan, picture=plan.picture.copy())
-    size = max(1.0, _SMALLEST_CAR * finer * plan.pixel / (2 * CAR.half_length))
-    draw_things(plan, state, size=size, line=finer, numbers=True)
+    size = max(1.0, _SMALLEST_CAR * _FINER * plan.pixel / (2 * CAR.half_length))
+    draw_things(plan, state, size=size, line=_FINER, numbers=True)
     return cv2.resize(plan.picture, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def draw_things(
     plan: Plan, state: SceneState, *, size: float, line: int = 1, numbers: bool = False
 ) -> None:
-    """Draw the obstacles and cars of a SceneState's first world on a plan.
+    """Draw the obstacles and cars of a SceneState's first world on a plan's picture.
 
-    Args:
-        plan: its picture is drawn on.
-        state: one world, or several.
-        size: how many times larger than they are cars are drawn, so that they can be seen.
-        line: width of a fine line [px].
-        numbers: write each car's number on the left of its way.
+    Cars are drawn `size` times larger than they are, so that they can be seen, fine lines `line` px
+    wide, and with `numbers` each car's number on the left of its way.
     """
     things, num_cars = state.things()[0], state.num_cars
     length = 2 * size * CAR.half_length
@@ -138,14 +125,6 @@ def _room(track: Track, width: int, height: int) -> Plan:
     return plan
 
 
-def _check_size(width: int, height: int) -> None:
-    if not (16 <= width <= 3840 and 16 <= height <= 2160):
-        raise ConfigError(
-            f"a picture of {width}x{height} pixels is out of range: give 16 to 3840 across and 16 "
-            "to 2160 down"
-        )
-
-
 def _behind(x: float, y: float, yaw: float, room: tuple[float, float, float, float]) -> Pose:
     """Return the chase camera's place: held inside the walls, and always turned to the car."""
     cos, sin = math.cos(yaw), math.sin(yaw)
@@ -172,8 +151,7 @@ def strip_moments(total_s: float, race_s: float) -> list[float]:
 def strip(replay: Replay, car: int) -> bytes:
     """Return what a car (from 0) saw in its race as JPEG: rows of pictures, the earliest first.
 
-    Raises:
-        ReplayError: the race has no such car.
+    ReplayError: the race has no such car.
     """
     if not 0 <= car < replay.num_cars:
         raise ReplayError(f"car {car + 1} is not in this race: give 1 to {replay.num_cars}")

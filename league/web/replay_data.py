@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from league import times
-from league.replay import Replay, commentary
+from league.replay import Replay, broadcast
 from league.replay.replay import seconds_behind
 from league.track.track import Track
 from league.web.charts import Lap
@@ -55,7 +55,7 @@ def events(replay: Replay) -> list[dict[str, object]]:
     """Return what happens in a race, a sentence each."""
     return [
         {"time_s": line.time_s, "kind": line.kind, "car": line.car + 1, "text": line.text}
-        for line in commentary.of_replay(replay)
+        for line in broadcast.of_replay(replay)
     ]
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from league.agents import roster
-from league.agents.driver import actions_from
-from league.envs.actions import decode
+from league.envs.actions import decode, encode
 from league.errors import PolicyError
 from league.sim.config import CarConfig, SensorConfig
 from league.track import files
@@ -42,10 +41,10 @@ def test_two_tracks_at_once_are_refused():
 def test_actions_are_the_inverse_of_what_the_environment_decodes():
     car = CarConfig()
     steering, speed = np.array([0.0, 0.3, -0.5]), np.array([0.1, 2.0, 4.0])
-    found = decode(actions_from(steering, speed, car), car)
+    found = decode(encode(steering, speed, car), car)
     assert np.allclose(found, (steering, speed), rtol=1e-6)
 
 
 def test_what_cannot_be_asked_is_clipped():
-    action = actions_from(np.array([2.0, -2.0]), np.array([9.0, -1.0]), CarConfig())
+    action = encode(np.array([2.0, -2.0]), np.array([9.0, -1.0]), CarConfig())
     assert action.tolist() == [[1.0, 1.0], [-1.0, -1.0]]

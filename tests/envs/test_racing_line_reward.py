@@ -9,7 +9,7 @@ from league.envs import rewards
 from league.envs.rewards import BuiltIn, RacingLineReward, built_in
 from league.errors import ConfigError
 from league.racing_line.racing_line import optimal_line
-from league.racing_line.speed_profile import CarLimits
+from league.racing_line.search import CarLimits
 from league.sim.config import CarConfig, RaceRules, SimConfig
 from league.track.track import TrackSet
 from tests.scenes import Stages, go_to, make_ring, make_square, make_straight, put_cars

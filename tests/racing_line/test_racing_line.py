@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.lap_optimum import lap_optimum, strays
 from league.racing_line.racing_line import center_line, lap_bound, optimal_line
-from league.racing_line.speed_profile import CarLimits
+from league.racing_line.search import CarLimits
 from league.sim.config import CarConfig
 from league.track import files
 from league.track.track import Track, TrackSet

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from league.racing_line.speed_profile import CarLimits, spare_grip, speed_profile, travel_time
+from league.racing_line.search import CarLimits, spare_grip, speed_profile, travel_time
 
 POINT = CarLimits(
     lateral=6.0, acceleration=4.0, braking=5.0, speed=4.0, curvature=3.5, transfer=0.0

@@ -53,5 +53,5 @@ def straight(length: float = 6.0) -> Track:
 
 def waypoint_places(track: Track) -> np.ndarray:
     """Return how far along the lap each of a track's own waypoints lies [m]: never falling."""
-    s = np.maximum.accumulate(build._in_order(track, track.waypoints))
+    s = np.maximum.accumulate(build._in_order(track, track.waypoints)[0])
     return np.minimum(s, s[0] + track.length) if track.closed else s

@@ -291,9 +291,9 @@ def test_paths_that_are_no_track_files_are_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe.yaml")
     for name, phrase in {
         "missing.yaml": "No such file",
-        "folder.yaml": "is a folder",
+        "folder.yaml": "not a file",
         "bytes.yaml": "not UTF-8",
-        "large.yaml": "1,000,001 bytes",
+        "large.yaml": "larger than 1,000,000 bytes",
         "pipe.yaml": "not a file",
         "nul\0.yaml": "null byte",
     }.items():

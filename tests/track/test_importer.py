@@ -99,7 +99,7 @@ def test_the_known_figures_of_community_tracks_come_out():
 @pytest.mark.parametrize("clockwise", [False, True])
 def test_the_inner_ring_becomes_the_border_on_the_right_side_of_the_driver(tmp_path, clockwise):
     path = _write(tmp_path / "ring.npy", _rows(clockwise=clockwise))
-    track = importer.read_npy(path, name="ring")
+    track = importer.read_npy(path)
     assert track.direction == ("clockwise" if clockwise else "counter-clockwise")
     inner, outer = (track.right, track.left) if clockwise else (track.left, track.right)
     assert np.linalg.norm(inner, axis=1).max() < np.linalg.norm(outer, axis=1).max()
@@ -250,7 +250,7 @@ def test_ten_gigabytes_are_refused_at_once_declared_or_real(tmp_path):
     begin = time.process_time()
     with pytest.raises(TrackError, match=r"208,333,333 rows.*4 to 2000"):
         importer.read_npy(declared)
-    with pytest.raises(TrackError, match=r"10,737,418,240 bytes.*promises 96,"):
+    with pytest.raises(TrackError, match="larger than 1,000,000 bytes"):
         importer.read_npy(real)
     # Reading 10 GB takes many seconds; this is a bound on work, not on speed.
     assert time.process_time() - begin < 5

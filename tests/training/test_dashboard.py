@@ -163,8 +163,8 @@ def test_time_left_is_what_is_left_of_the_time_or_of_the_decisions():
     assert dashboard.left_s(made, 25.0, 1500) == pytest.approx(5.0)
     assert dashboard.left_s(made, 10.0, None) == 0.0
     assert dashboard.left_s(made, None, None) is None
-    assert dashboard.left_s(None, 60.0, None) == 60.0
-    assert dashboard.left_s(None, None, 100) is None
+    assert dashboard.left_s(TrainingHistory(), 60.0, None) == 60.0
+    assert dashboard.left_s(TrainingHistory(), None, 100) is None
 
 
 def test_speed_is_that_of_the_last_updates():

@@ -9,7 +9,7 @@ import rerun as rr
 import torch
 from rerun.chunk import RrdReader
 
-from league.rerun_view import live, paths
+from league.rerun_view import layout, live
 from league.rerun_view.live import MOST_CARS, ShownCars, TrainingStream
 from league.rerun_view.viewer import HOST
 from league.sim.config import SensorConfig
@@ -59,12 +59,12 @@ def test_every_step_is_shown_where_worlds_are_no_faster_than_time(tmp_path):
     shown(tmp_path / "a.rrd", made(3), 40, 1 / 15)
     rows = rows_of(tmp_path / "a.rrd")
     for slot in range(3):
-        assert rows[paths.car(slot)] == 40
-        assert rows[paths.trail(slot)] == 40
-        assert rows[paths.wheel(slot, "front_left")] == 40
-        assert rows[paths.wheel(slot, "rear_left")] == 40
-    assert rows[paths.PLOT_SPEED] == 40
-    assert paths.car(3) not in rows
+        assert rows[layout.car(slot)] == 40
+        assert rows[layout.trail(slot)] == 40
+        assert rows[layout.car(slot, "wheels", "front_left")] == 40
+        assert rows[layout.car(slot, "wheels", "rear_left")] == 40
+    assert rows[layout.PLOT_SPEED] == 40
+    assert layout.car(3) not in rows
 
 
 def test_steps_are_sent_as_columns_once_a_second(tmp_path):
@@ -72,7 +72,7 @@ def test_steps_are_sent_as_columns_once_a_second(tmp_path):
     chunks = [
         chunk.num_rows
         for chunk in RrdReader(tmp_path / "a.rrd").stream().to_chunks()
-        if chunk.entity_path.lstrip("/") == paths.car(0) and not chunk.is_static
+        if chunk.entity_path.lstrip("/") == layout.car(0) and not chunk.is_static
     ]
     assert sum(chunks) == 45
     assert len(chunks) <= 4  # 3 s
@@ -114,7 +114,7 @@ def test_a_car_that_was_put_elsewhere_leaves_no_line(tmp_path):
     assert ended > 0
     longest = 0.0
     for chunk in RrdReader(tmp_path / "a.rrd").stream().to_chunks():
-        if chunk.entity_path.lstrip("/") == paths.trail(0) and not chunk.is_static:
+        if chunk.entity_path.lstrip("/") == layout.trail(0) and not chunk.is_static:
             batch = chunk.to_record_batch()
             (column,) = [name for name in batch.schema.names if "strips" in name]
             for ((first, last),) in batch.column(column).to_pylist():
@@ -152,13 +152,13 @@ def test_obstacles_are_shown_where_they_stand(tmp_path):
     env.step = noted
     shown(tmp_path / "a.rrd", env, 30, 1 / 15)
     rows = rows_of(tmp_path / "a.rrd")
-    assert paths.car(1) not in rows
+    assert layout.car(1) not in rows
     # They stand, and are drawn anew with an episode.
     moves = sum(not np.array_equal(one, other) for one, other in pairwise(places))
     assert moves < 5
     for index in range(4):
-        assert rows[paths.obstacle(index)] == 1 + moves
-    assert paths.obstacle(4) not in rows
+        assert rows[layout.obstacle(index)] == 1 + moves
+    assert layout.obstacle(4) not in rows
 
 
 def test_the_live_view_serves_this_machine_alone_and_lets_go_of_the_worlds():

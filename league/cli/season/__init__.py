@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from league.cli import lazy
 from league.errors import ConfigError, brief
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
-
-    from league.matchmaking.remote import Client
-    from league.matchmaking.store import Store
-    from league.matchmaking.workers import Executor
 
 DEFAULT = "sqlite:///league.db"
 
@@ -34,11 +30,9 @@ class OnLeague:
         """The league's address."""
         return self.league or os.environ.get("LEAGUE_URL", "") or DEFAULT
 
-    def opened(self) -> Store:
+    def opened(self) -> lazy.store.Store:
         """Open the league; close it when done."""
-        from league.matchmaking.store import Store
-
-        return Store(self.address)
+        return lazy.store.Store(self.address)
 
 
 @dataclass(kw_only=True)
@@ -50,23 +44,19 @@ class OnServer(OnLeague):
     token: str = ""
     """Token for --to; by default the environment variable LEAGUE_TOKEN, which other users of this
     machine cannot read in the list of processes."""
-    insecure: bool = False
-    """Let the token travel unencrypted (http://) to another machine."""
+    insecure: bool = False  # Let the token travel unencrypted (http://) to another machine.
 
-    def client(self) -> Client:
+    def client(self) -> lazy.remote.Client:
         """Return the served league."""
-        from league.matchmaking.remote import Client
-
         secret = self.token or os.environ.get("LEAGUE_TOKEN", "")
-        return Client.of(self.to, secret.strip(), insecure=self.insecure)
+        return lazy.remote.Client.of(self.to, secret.strip(), insecure=self.insecure)
 
 
 @dataclass(kw_only=True)
 class Reading(OnLeague):
     """A command that only reads a league."""
 
-    json: bool = False
-    """Print JSON."""
+    json: bool = False  # Print JSON.
 
 
 def at_least(command: DataclassInstance, name: str, least: int) -> None:
@@ -87,25 +77,16 @@ def share(text: str, flag: str) -> float:
     return number
 
 
-@contextmanager
 def local_workers(
     num_workers: int, kind: Literal["processes", "ray"] = "processes"
-) -> Generator[Executor]:
-    """Start workers, one for each core if 0 were asked for, and end them afterwards."""
-    from league.matchmaking import workers
-
-    executor = workers.make_executor(kind, num_workers or os.cpu_count() or 1)
-    try:
-        yield executor
-    finally:
-        executor.close()
+) -> closing[lazy.workers.Executor]:
+    """Start workers, one for each core if 0 were asked for; `with` ends them afterwards."""
+    return closing(lazy.workers.make_executor(kind, num_workers or os.cpu_count() or 1))
 
 
 def print_json(value: object) -> None:
     """Print data as JSON."""
-    from league.matchmaking.documents import plain
-
-    print(json.dumps(plain(value), indent=2, ensure_ascii=False))
+    print(json.dumps(lazy.documents.plain(value), indent=2, ensure_ascii=False))
 
 
 def plus_minus(elo: float, low: float, high: float) -> str:

@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
+import getpass
 import json
 import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
-import tyro
+from tyro.conf import Positional, arg, subcommand
 
 from league import times
-from league.cli import season, tables
+from league.atomic_file import replacing
+from league.cli import lazy, season, tables
 from league.cli.season import OnLeague, OnServer, Reading
-from league.errors import ConfigError, nearest_names
-
-if TYPE_CHECKING:
-    from league.matchmaking.pairing.heat_spec import Ruleset
+from league.errors import ConfigError, PolicyError, nearest_names
+from league.sim import PHYSICS
 
 ANCHORS = ("centerline", "racing_line", "cautious", "blocker")
 """Scripted drivers that a new league begins with; the first one is 1000."""
 
-SAID = ("name", "owner", "id", "state", "near_copy_of")
-"""Texts that are said of an entry, by a served league, too."""
+SAID = ("name", "owner", "id", "state", "near_copy_of")  # What is said of an entry.
 
 GIVEN = (
     "laps", "cars", "solver", "sensors", "max_time_s", "variation", "rules", "obstacles", "format",
@@ -35,28 +34,21 @@ GIVEN = (
 class Init(OnLeague):
     """Make a league; its rules, on which all ratings depend, cannot be changed later."""
 
-    name: str = "league"
-    """Name shown to people."""
+    name: str = "league"  # Name shown to people.
     track: tuple[str, ...] = ("reinvent_2018",)
     """Tracks that heats are drawn from (see `league tracks`)."""
-    laps: int = 3
-    """Laps of each race."""
-    cars: int = 2
-    """Cars in each race, 2 to 8."""
-    solver: Literal["bullet", "planar"] = "bullet"
-    """Physics."""
+    laps: int = 3  # Laps of each race.
+    cars: int = 2  # Cars in each race, 2 to 8.
+    solver: Literal["bullet", "planar"] = "bullet"  # Physics.
     sensors: Literal["stock", "any"] = "stock"
     """Stock mounts, lenses and rates only, or whatever a card asks for."""
-    max_time_s: float = 0.0
-    """A race is stopped after this time [s]; 0 chooses by length."""
+    max_time_s: float = 0.0  # A race is stopped after this time [s]; 0 chooses by length.
     variation: float = 1.0
     """How much the cars of a race differ, drawn from its seed: 1 is two percent of grip."""
     rules: Literal["league", "deepracer"] = "league"
     """Who is to blame and what it costs: as docs/rules.md has it, or as in the original."""
-    obstacles: int = 0
-    """Boxes or bots on the track."""
-    bots: bool = False
-    """Slow bot cars that change lanes instead of boxes."""
+    obstacles: int = 0  # Boxes or bots on the track.
+    bots: bool = False  # Slow bot cars that change lanes instead of boxes.
     format: Literal["standing", "reverse", "qualifying", "pursuit"] = "standing"
     """How cars line up: standing, twice, with the grid swapped; reverse, the best rated last;
     qualifying, the best lap so far first; pursuit, spread evenly round the lap."""
@@ -66,12 +58,11 @@ class Init(OnLeague):
     """Directory or bucket (s3://...) for weights and recordings; by default the database."""
 
     def run(self) -> None:
-        from league.matchmaking.pairing import matchmaker
-        from league.matchmaking.store import create
-
         rules = _rules(self)
-        with create(self.address, name=self.name, ruleset=rules, blobs=self.blobs) as store:
-            matchmaker.enter_anchors(store, self.anchors)
+        with lazy.store.create(
+            self.address, name=self.name, ruleset=rules, blobs=self.blobs
+        ) as store:
+            lazy.matchmaker.enter_anchors(store, self.anchors)
             print(f"League {self.name!r}: {store.url}")
         parts = [times.laps(rules.laps), f"{rules.cars} cars", *rules.tracks]
         parts += [rules.format] if rules.format != "standing" else []
@@ -83,15 +74,13 @@ class Init(OnLeague):
 class Submit(OnServer):
     """Submit a checkpoint; it is read here, and its weights are sent as plain numbers."""
 
-    driver: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="DRIVER")]
+    driver: Annotated[Positional[str], arg(metavar="DRIVER")]
     """A checkpoint (FILE.pt), or the name of a driver (see `league drivers`)."""
-    name: str = ""
-    """Name shown to people; by default the file's."""
+    name: str = ""  # Name shown to people; by default the file's.
     owner: str = ""
     """Its owner; by default your login name, and with --to the owner of the token. Entries of one
     owner do not meet."""
-    download: bool = False
-    """Let everyone download the weights from the driver's page."""
+    download: bool = False  # Let everyone download the weights from the driver's page.
 
     def run(self) -> None:
         name = self.name or Path(self.driver).stem
@@ -110,16 +99,11 @@ class Submit(OnServer):
 
     def _entered(self, name: str) -> dict[str, Any]:
         """Enter the driver here, and return what became of it."""
-        import getpass
-
-        from league.agents import roster
-        from league.matchmaking import submission
-
         owner = self.owner or getpass.getuser()
         with self.opened() as store:
-            if self.driver not in roster.NAMES:
-                path = roster.checkpoint_path(self.driver)
-                entry = submission.submit(store, path, name, owner, download=self.download)
+            if self.driver not in lazy.roster.NAMES:
+                path = lazy.roster.checkpoint_path(self.driver)
+                entry = lazy.submission.submit(store, path, name, owner, download=self.download)
             else:
                 entry = store.submit(name, owner, scripted=self.driver, card={"name": name})
         return {key: getattr(entry, key) for key in (*SAID, "downloadable")}
@@ -139,15 +123,12 @@ class Submit(OnServer):
 class Pack:
     """Write a checkpoint as the file that a league's upload form takes: plain numbers and card."""
 
-    driver: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="FILE.pt")]
+    driver: Annotated[Positional[str], arg(metavar="FILE.pt")]
     """A checkpoint, or the name of one (see `league drivers`)."""
     out: Path | None = None
     """Where to write it; by default here, under the checkpoint's name, ending in .safetensors."""
 
     def run(self) -> None:
-        from league.atomic_file import replacing
-        from league.errors import PolicyError
-
         content = _packed(self.driver)
         path = self.out or Path(f"{Path(self.driver).stem}.safetensors")
         with replacing(path, "the packed checkpoint", PolicyError) as file:
@@ -157,14 +138,11 @@ class Pack:
 
 def _packed(driver: str) -> bytes:
     """Return a checkpoint as the bytes of an entry."""
-    from league.agents import checkpoint, roster
-    from league.matchmaking import submission
-
-    if driver in roster.NAMES:
+    if driver in lazy.roster.NAMES:
         raise ConfigError(
             f"{driver} is a scripted driver, which has no weights: give a checkpoint (FILE.pt)"
         )
-    return submission.pack(checkpoint.load(roster.checkpoint_path(driver)))
+    return lazy.submission.pack(lazy.checkpoint.load(lazy.roster.checkpoint_path(driver)))
 
 
 @dataclass
@@ -172,13 +150,10 @@ class Entries(Reading):
     """List the entries and their states."""
 
     def run(self) -> None:
-        from league.matchmaking.pairing import matchmaker
-
         with self.opened() as store:
-            entries = matchmaker.entries_with_reasons(store)
+            entries = lazy.matchmaker.entries_with_reasons(store)
         if self.json:
-            season.print_json(entries)
-            return
+            return season.print_json(entries)
         rows = []
         for entry in entries:
             kind = "anchor" if entry.anchor else entry.kind
@@ -197,12 +172,9 @@ class Entries(Reading):
 class Retire(OnServer):
     """Take an entry out of the league; its results stay, and there is no way back."""
 
-    entry: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ENTRY")]
-    """Name or id."""
-    reason: str = ""
-    """Why, for people to read."""
-    yes: bool = False
-    """Do not ask first."""
+    entry: Annotated[Positional[str], arg(metavar="ENTRY")]  # Name or id.
+    reason: str = ""  # Why, for people to read.
+    yes: bool = False  # Do not ask first.
 
     def run(self) -> int:
         if self.to:
@@ -234,10 +206,7 @@ class Upgrade(OnLeague):
     begin again, because results of different physics cannot be compared."""
 
     def run(self) -> None:
-        from league.matchmaking import store
-        from league.sim import PHYSICS
-
-        for step in store.upgrade(self.address):
+        for step in lazy.store.upgrade(self.address):
             print(step)
         with self.opened() as league:
             rules = league.settings.ruleset
@@ -267,17 +236,13 @@ def _confirmed(what: str) -> bool:
     return input(question).strip().lower() in ("y", "yes")
 
 
-def _rules(command: Init) -> Ruleset:
+def _rules(command: Init) -> lazy.heat_spec.Ruleset:
     """Return the rules that were asked for, checked before anything is written."""
-    from league.agents import roster
-    from league.matchmaking.pairing.heat_spec import Ruleset
-    from league.track import files
-
     if not command.name.strip():
         raise ConfigError("the league was given no name: name it, as in --name club")
     for name in command.anchors:
-        if name not in roster.NAMES:
-            nearest = nearest_names(name, list(roster.NAMES))
+        if name not in lazy.roster.NAMES:
+            nearest = nearest_names(name, list(lazy.roster.NAMES))
             raise ConfigError(f"there is no scripted driver {name!r}; {nearest}")
     if command.bots and not command.obstacles:
         raise ConfigError("--bots means nothing without --obstacles: give both, or neither")
@@ -290,7 +255,7 @@ def _rules(command: Init) -> Ruleset:
             raise ConfigError("a track or an anchor was named twice: name each once")
     tracks = []
     for name in command.track:
-        track = files.load(name)
+        track = lazy.files.load(name)
         if name != track.name:
             raise ConfigError(
                 f"the track {name!r} is a file: a league's workers know the tracks that ship "
@@ -305,7 +270,7 @@ def _rules(command: Init) -> Ruleset:
     try:
         given = {name: getattr(command, name) for name in GIVEN}
         kind = "bot" if command.bots else "box"
-        return Ruleset(**given, tracks=tuple(tracks), obstacle_kind=kind)
+        return lazy.heat_spec.Ruleset(**given, tracks=tuple(tracks), obstacle_kind=kind)
     except ValueError as error:
         raise ConfigError(f"these rules are not possible: {error}") from error
 
@@ -314,13 +279,12 @@ def _rules(command: Init) -> Ruleset:
 class Create(OnLeague):
     """Make a token and print it, once: only its hash is kept."""
 
-    owner: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="OWNER")]
+    owner: Annotated[Positional[str], arg(metavar="OWNER")]
     """The owner that it stands for: entries submitted with it are this owner's."""
     scope: tuple[Literal["submit", "worker", "admin"], ...] = ("submit",)
     """submit: enter and retire the owner's drivers; worker: race heats; admin: all of it, and
     retire anybody's drivers."""
-    days: float = 365.0
-    """It ends after so many days; 0 for never."""
+    days: float = 365.0  # It ends after so many days; 0 for never.
 
     def run(self) -> None:
         if not 0 <= self.days < 1e6:
@@ -329,7 +293,7 @@ class Create(OnLeague):
         with self.opened() as store:
             secret, token = store.tokens.create(self.owner, self.scope, life_s=life_s)
         print(secret)
-        ends = times.day(token.expires_s) if token.expires_s else "never"
+        ends = times.day(token.expires_s) or "never"
         print(
             f"Token {token.number} of {token.owner}: {', '.join(token.scopes)}; ends {ends}. It is "
             "shown only now; give it to its owner as LEAGUE_TOKEN."
@@ -344,13 +308,12 @@ class List(Reading):
         with self.opened() as store:
             tokens = store.tokens.listed()
         if self.json:
-            season.print_json(tokens)
-            return
+            return season.print_json(tokens)
         rows, now_s = [], time.time()
         for token in tokens:
-            scopes, state = " ".join(token.scopes), token.state(now_s)
-            ends, used = _day(token.expires_s), _day(token.used_s)
-            rows.append((token.number, token.owner, scopes, state, ends, used))
+            days = (times.day(one)[:10] or "never" for one in (token.expires_s, token.used_s))
+            scopes = " ".join(token.scopes)
+            rows.append((token.number, token.owner, scopes, token.state(now_s), *days))
         heads = ("number", "owner", "scopes", "state", "ends", "last used")
         tables.table("Tokens", heads, rows, "last used", "ends")
 
@@ -359,8 +322,7 @@ class List(Reading):
 class Revoke(OnLeague):
     """End a token at once; entries made with it stay."""
 
-    token: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="TOKEN")]
-    """Its number, or the token itself."""
+    token: Annotated[Positional[str], arg(metavar="TOKEN")]  # Its number, or the token itself.
 
     def run(self) -> None:
         with self.opened() as store:
@@ -373,11 +335,7 @@ class ManageTokens:
     """Make, list or revoke the tokens by which owners and workers are known over HTTP."""
 
     command: (
-        Annotated[Create, tyro.conf.subcommand("create")]
-        | Annotated[List, tyro.conf.subcommand("list")]
-        | Annotated[Revoke, tyro.conf.subcommand("revoke")]
+        Annotated[Create, subcommand("create")]
+        | Annotated[List, subcommand("list")]
+        | Annotated[Revoke, subcommand("revoke")]
     )
-
-
-def _day(seconds: float | None) -> str:
-    return "never" if seconds is None else times.day(seconds)[:10]

@@ -10,59 +10,43 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Generator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import tyro
+from tyro.conf import Positional, arg
 
-from league.cli import season, tables
+from league.cli import lazy, season, tables
 from league.cli.season import OnLeague, OnServer
 from league.errors import ConfigError, LeagueError
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from league.matchmaking.loop import Tally
-    from league.matchmaking.pairing.matchmaker import Matchmaker
-    from league.matchmaking.standings import Standings
-    from league.matchmaking.store import Store
-    from league.matchmaking.workers.dispatcher import Dispatcher, FinishedHeat, HeatSource
-
-REFIT_EVERY_S = 5.0
-"""Interval at which the page computes the standings, at least [s]."""
-TOP = 12
-"""Entries on the page."""
-PATIENCE_S = 600.0
-"""How long a remote worker waits for a server that does not answer [s]."""
+REFIT_EVERY_S = 5.0  # Interval at which the page computes the standings, at least [s].
+TOP = 12  # Entries on the page.
+PATIENCE_S = 600.0  # How long a remote worker waits for a server that does not answer [s].
 
 
 @dataclass
 class Racing(OnLeague):
     """A command that races heats."""
 
-    heats: int | None = None
-    """Stop after so many heats."""
-    minutes: float | None = None
-    """Begin no heat after so many minutes."""
-    workers: int = 0
-    """Worker processes; 0 takes one for each core."""
+    heats: int | None = None  # Stop after so many heats.
+    minutes: float | None = None  # Begin no heat after so many minutes.
+    workers: int = 0  # Worker processes; 0 takes one for each core.
     executor: Literal["processes", "ray"] = "processes"
     """Where the workers live: on this machine, or on the Ray cluster that RAY_ADDRESS names."""
     lease_s: float = 60.0
     """Heats of a machine that gives no sign for so long are lent to others [s]."""
-    replays: bool = True
-    """Keep the recordings; without them heats cannot be watched."""
-    plain: bool = False
-    """Print a line for each heat instead of the page."""
+    replays: bool = True  # Keep the recordings; without them heats cannot be watched.
+    plain: bool = False  # Print a line for each heat instead of the page.
 
     def run(self) -> None:
-        from league.matchmaking.workers.worker import check_physics
-
         self._check()
         with self.opened() as store:
-            check_physics(store.settings.ruleset, f"the league in {store.url}")
+            lazy.worker.check_physics(store.settings.ruleset, f"the league in {store.url}")
             self._race(store, store)
 
     def _check(self) -> None:
@@ -72,15 +56,12 @@ class Racing(OnLeague):
         if not 1 <= self.lease_s <= 3600:
             raise ConfigError(f"--lease-s {self.lease_s}: give 1 to 3600 s")
 
-    def _race(self, source: HeatSource, store: Store | None) -> None:
+    def _race(self, source: lazy.dispatcher.HeatSource, store: lazy.store.Store | None) -> None:
         """Race heats of a source; `store` is the league, where it is on this machine."""
-        from league.matchmaking import loop
-        from league.matchmaking.workers.dispatcher import Dispatcher
-
         with ExitStack() as stack:
             matchmaker = self._matchmaker(store) if store else None
             executor = stack.enter_context(season.local_workers(self.workers, self.executor))
-            dispatcher = Dispatcher(
+            dispatcher = lazy.dispatcher.Dispatcher(
                 source, executor, lease_s=self.lease_s, keep_replays=self.replays
             )
             watch = _print_finished
@@ -88,7 +69,7 @@ class Racing(OnLeague):
                 page = LivePage(store, dispatcher)
                 stack.enter_context(page.live)
                 watch = page.show
-            tally = loop.run(
+            tally = lazy.loop.run(
                 store,
                 dispatcher,
                 matchmaker,
@@ -101,7 +82,7 @@ class Racing(OnLeague):
         over = seasons[-1].name if seasons and seasons[-1].until is not None else ""
         _print_tally(tally, over)
 
-    def _matchmaker(self, store: Store) -> Matchmaker | None:
+    def _matchmaker(self, store: lazy.store.Store) -> lazy.matchmaker.Matchmaker | None:
         """Return the matchmaker; None races what is in the queue."""
         return None
 
@@ -117,16 +98,13 @@ class Work(Racing, OnServer):
     def run(self) -> None:
         if not self.to:
             return super().run()
-        from league.matchmaking.remote import RemoteQueue
-
         self._check()
         if self.lease_s > 600:
             raise ConfigError(f"--lease-s {self.lease_s}: give 1 to 600 s with --to")
-        client = self.client()
-        queue = RemoteQueue(replace(client, patience_s=PATIENCE_S))
-        RemoteQueue(client).heartbeat("hello", lease_s=60.0, keys=())  # fails at once, if at all
+        client, queue = self.client(), lazy.remote.RemoteQueue
+        queue(client).heartbeat("hello", lease_s=60.0, keys=())  # fails at once, if at all
         print(f"Racing for {client.url}; Ctrl-C finishes the heats under way.", flush=True)
-        self._race(queue, None)
+        self._race(queue(replace(client, patience_s=PATIENCE_S)), None)
 
 
 @dataclass
@@ -137,44 +115,35 @@ class RunSeason(Racing):
     """Let entries of one owner meet, too. By default they race only entries of others and anchors,
     so that entering many gains nothing; a league of one person needs this."""
 
-    def _matchmaker(self, store: Store) -> Matchmaker:
-        from league.matchmaking.pairing.matchmaker import Matchmaker
-
-        return Matchmaker(store, same_owner=self.same_owner)
+    def _matchmaker(self, store: lazy.store.Store) -> lazy.matchmaker.Matchmaker:
+        return lazy.matchmaker.Matchmaker(store, same_owner=self.same_owner)
 
 
 @dataclass
 class Serve(OnLeague):
     """Show the league in the browser, and take submissions there: standings, drivers, replays."""
 
-    port: int = 8018
-    """Port to listen on; 0 takes a free one."""
+    port: int = 8018  # Port to listen on; 0 takes a free one.
     host: str = "127.0.0.1"
     """Address to listen on; another one is possible once there are tokens (`league token`)."""
     name: tuple[str, ...] = ()
     """Names under which browsers reach this server, apart from 127.0.0.1 and localhost."""
-    entries: int = 4
-    """Entries that an owner may have."""
-    per_day: int = 5
-    """Submissions that an owner may make within 24 hours."""
+    entries: int = 4  # Entries that an owner may have.
+    per_day: int = 5  # Submissions that an owner may make within 24 hours.
     audit: str = "5%"
     """Share of the heats of remote workers that are run again by others, in percent."""
 
     def run(self) -> None:
-        from league.matchmaking.store import Quota
-        from league.web import server
-        from league.web.security import Access
-
         for field in ("entries", "per_day"):
             season.at_least(self, field, 0)
-        access = Access(
+        access = lazy.security.Access(
             hosts=("127.0.0.1", "localhost", *self.name),
-            quota=Quota(self.entries, self.per_day),
+            quota=lazy.store.Quota(self.entries, self.per_day),
             audited=season.share(self.audit, "--audit"),
         )
         with self.opened() as store:
             name = store.settings.name
-            server.serve(
+            lazy.server.serve(
                 store,
                 self.port,
                 host=self.host,
@@ -187,23 +156,17 @@ class Serve(OnLeague):
 class Site(OnLeague):
     """Write a league's pages as files, for any web space; they need no server."""
 
-    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER")]
-    """A new folder."""
-    heats: int = 200
-    """So many of the newest heats get pages, with their races to watch."""
+    folder: Annotated[Positional[Path], arg(metavar="FOLDER")]  # A new folder.
+    heats: int = 200  # So many of the newest heats get pages, with their races to watch.
     season: int | None = None
     """Number of a season that is over: everything is as it was at its end."""
 
     def run(self) -> None:
-        from league.web import site
-
         season.at_least(self, "heats", 0)
         with self.opened() as store:
-            written = site.export(store, self.folder, heats=self.heats, season=self.season)
-        print(
-            f"{written.pages} pages, {written.heats} of them with a race to watch: "
-            f"{self.folder / 'index.html'}"
-        )
+            written = lazy.site.export(store, self.folder, heats=self.heats, season=self.season)
+        first = self.folder / "index.html"
+        print(f"{written.pages} pages, {written.heats} of them with a race to watch: {first}")
 
 
 @contextmanager
@@ -217,24 +180,19 @@ def _stopping() -> Generator[Callable[[], bool]]:
         requests.append(number)
         print("Finishing the heats under way; Ctrl-C again leaves them.", file=sys.stderr)
 
-    before = {number: signal.signal(number, request) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
+    with lazy.subprocesses.handling(request, signal.SIGINT, signal.SIGTERM):
         yield lambda: bool(requests)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
-def _print_tally(tally: Tally, over: str) -> None:
+def _print_tally(tally: lazy.loop.Tally, over: str) -> None:
     """Print what was raced; `over` is the name of the season if it has ended."""
-    if tally.idle and not tally.heats and over:
-        print(f"The season {over!r} is over: begin the next one with `league season start`.")
-        return
     if tally.idle and not tally.heats:
-        print(
+        begin = f"The season {over!r} is over: begin the next one with `league season start`."
+        submit = (
             "There is nothing to race: submit an entry with `league submit FILE.pt`; "
             "entries of one owner meet with --same-owner."
         )
+        print(begin if over else submit)
         return
     rate = tally.race_s / tally.worker_s if tally.worker_s else 0.0
     print(
@@ -248,7 +206,7 @@ def _print_tally(tally: Tally, over: str) -> None:
         )
 
 
-def describe(finished: FinishedHeat) -> str:
+def describe(finished: lazy.dispatcher.FinishedHeat) -> str:
     """Return a heat's outcome in a line."""
     claim, report = finished.running.claim, finished.report
     names = " - ".join(finished.running.names)
@@ -258,14 +216,12 @@ def describe(finished: FinishedHeat) -> str:
         ends = {"error": "given up", "planned": "will be tried again"}
         end = ends.get(finished.became, "another worker has it")
         return f"{start}: failed, {end}: {tables.spelled(last[0][:120])}"
-    scores = " | ".join(
-        "-".join(str(place) for place in one.places) for one in report.outcome.races
-    )
+    scores = " | ".join("-".join(map(str, one.places)) for one in report.outcome.races)
     note = "" if finished.became == "accepted" else f"  [{finished.became}]"
     return f"{start}: places {scores}  {report.race_s:.0f} s in {report.wall_s:.1f} s{note}"
 
 
-def _print_finished(_tally: Tally, finished: list[FinishedHeat]) -> None:
+def _print_finished(_tally: lazy.loop.Tally, finished: list[lazy.dispatcher.FinishedHeat]) -> None:
     for one in finished:
         print(describe(one), flush=True)
 
@@ -273,35 +229,28 @@ def _print_finished(_tally: Tally, finished: list[FinishedHeat]) -> None:
 class LivePage:
     """A page that is redrawn in place: rates, heats under way, last results, standings."""
 
-    def __init__(self, store: Store, dispatcher: Dispatcher) -> None:
+    def __init__(self, store: lazy.store.Store, dispatcher: lazy.dispatcher.Dispatcher) -> None:
         from rich.live import Live
 
         self._store, self._crew = store, dispatcher
         self._began = time.monotonic()
         self._last: deque[str] = deque(maxlen=6)
-        self._standings: Standings | None = None
+        self._standings: lazy.standings.Standings | None = None
         self._fitted_s, self._stale = 0.0, True
         self.live = Live(console=tables.console(), refresh_per_second=4, transient=True)
 
-    def show(self, tally: Tally, finished: list[FinishedHeat]) -> None:
+    def show(self, tally: lazy.loop.Tally, finished: list[lazy.dispatcher.FinishedHeat]) -> None:
         """Draw the page."""
         for one in finished:
             self._last.append(describe(one))
         self._stale = self._stale or bool(finished)
         if self._stale and time.monotonic() - self._fitted_s > REFIT_EVERY_S:
-            self._refit()
+            with suppress(LeagueError):  # where no entry is rated yet
+                self._standings = lazy.standings.of(self._store)
+            self._fitted_s, self._stale = time.monotonic(), False
         self.live.update(self._drawn(tally))
 
-    def _refit(self) -> None:
-        from league.matchmaking import standings
-
-        try:
-            self._standings = standings.of(self._store)
-        except LeagueError:
-            self._standings = None  # no entry is rated yet
-        self._fitted_s, self._stale = time.monotonic(), False
-
-    def _drawn(self, tally: Tally) -> RenderableType:
+    def _drawn(self, tally: lazy.loop.Tally) -> RenderableType:
         from rich.console import Group
         from rich.text import Text
 

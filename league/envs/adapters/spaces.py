@@ -19,18 +19,8 @@ MOTION_LIMIT = 16.0
 STATE_LIMIT = 10_000.0  # bound of the `state` group, in any unit
 
 FLAGS = (
-    "off_track",
-    "crashed",
-    "touched",
-    "was_hit",
-    "forced_off",
-    "pushed_off",
-    "wall",
-    "immobilised",
-    "reversed",
-    "lap",
-    "finished",
-    "released",
+    *("off_track", "crashed", "touched", "was_hit", "forced_off", "pushed_off", "wall"),
+    *("immobilised", "reversed", "lap", "finished", "released"),
 )
 """Fields of the VERDICT that an info has; all False after a reset."""
 _COUNTS = ("laps", "off_tracks", "crashes", "contacts_taken", "overtakes")

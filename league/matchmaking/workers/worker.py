@@ -21,7 +21,7 @@ from league.sim import PHYSICS
 
 if TYPE_CHECKING:
     from league.agents.checkpoint import Checkpoint
-    from league.agents.driver import Driver
+    from league.envs.driver import Driver
     from league.race_spec import RaceResult
     from league.racing.race import RaceJob
     from league.replay.replay import Replay

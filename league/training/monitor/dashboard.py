@@ -8,16 +8,21 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from rich import box
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.live import Live
+from rich.panel import Panel
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
 from league.times import duration
-from league.training.monitor.history import TrainingCallback
+from league.training.monitor.history import TrainingCallback, TrainingHistory
 
 if TYPE_CHECKING:
-    from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
-    from rich.live import Live
-
     from league.racing.table import Evaluation
     from league.training.config import TrainConfig
-    from league.training.monitor.history import EvaluationRow, Row, TrainingHistory
+    from league.training.monitor.history import EvaluationRow, Row
     from league.training.ppo.learner import Update
 
 PLAIN_EVERY_S = 5.0  # seconds between two plain lines
@@ -45,13 +50,10 @@ class Dashboard(TrainingCallback):
 
         `plain`: print a line every few seconds even where the dashboard could be drawn.
         """
-        from rich.console import Console
-        from rich.live import Live
-
         self._kind, self._name = cfg.kind.replace("_", " "), name
         self._budget_s, self._budget_steps = budget_s, budget_steps
         self._console = console = console or Console()
-        self._history: TrainingHistory | None = None
+        self._history = TrainingHistory()
         self._updated_s = self._printed_s = time.monotonic()
         self._racing = ""
         self._live: Live | None = None
@@ -87,9 +89,9 @@ class Dashboard(TrainingCallback):
         self._racing = ""
         if live is not None:
             live.stop()
-        elif self._history is not None and self._history.updates:
+        elif self._history.updates:
             self._print(update_line(self._history, self._budget_s, self._budget_steps))
-        self._history = None
+        self._history = TrainingHistory()
 
     def _refresh(self, plain: str) -> None:
         if self._live is None:
@@ -103,14 +105,9 @@ class Dashboard(TrainingCallback):
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Draw the dashboard as it is now."""
-        from rich import box
-        from rich.console import Group
-        from rich.panel import Panel
-        from rich.text import Text
-
         width, history = options.max_width, self._history
         body: list[RenderableType] = [self._budget()]
-        if history is None or not history.updates:
+        if not history.updates:
             body.append(Text("the first worlds are being driven ...", style="dim"))
         else:
             body += [Text(""), _charts(history, width - 4), Text(""), _figures(history)]
@@ -127,12 +124,8 @@ class Dashboard(TrainingCallback):
         )
 
     def _budget(self) -> RenderableType:
-        from rich.progress_bar import ProgressBar
-        from rich.table import Table
-        from rich.text import Text
-
         since = time.monotonic() - self._updated_s
-        spent = (self._history.time_s if self._history else 0.0) + since
+        spent = self._history.time_s + since
         left = left_s(self._history, self._budget_s, self._budget_steps)
         grid = Table.grid(expand=True, padding=(0, 1))
         grid.add_column(no_wrap=True, style="bold")
@@ -151,26 +144,34 @@ class Dashboard(TrainingCallback):
 
 def _charts(history: TrainingHistory, width: int) -> RenderableType:
     """Return the curves of reward and completion, in a row or, where it is narrow, in a column."""
-    from rich.console import Group
-    from rich.table import Table
-
     narrow = width < _NARROW
     across = max(width if narrow else (width - 4) // 3, 8)
     height = 2 if narrow else _HEIGHT
 
-    def completion(title: str, rows: Sequence[Row], style: str, foot: str = "") -> RenderableType:
-        driven = bars(_curve(history, rows, "completion", across), 0.0, 100.0, height)
-        value = percent(rows[-1].completion if rows else None)
-        return _chart(f"completion, {title}", value, driven, style, across, foot)
+    def curve(rows: Sequence[Row], name: str) -> list[float | None]:
+        values = [getattr(row, name) for row in rows]
+        return resampled(history.learnt_s(rows), values, history.updates[-1].time_s, across)
 
-    rewards = _curve(history, history.updates, "earned", across)
+    def chart(title: str, value: str, lines: list[str], style: str, foot: str = "") -> Text:
+        gap = " " * max(across - len(title) - len(value), 1)
+        text = Text.assemble((title, "dim"), gap, (value, f"bold {style}"))
+        for line in lines:
+            text.append("\n" + line, style=style)
+        return text.append("\n" + foot, style="bold yellow") if foot else text
+
+    def completion(title: str, rows: Sequence[Row], style: str, foot: str = "") -> Text:
+        driven = bars(curve(rows, "completion"), 0.0, 100.0, height)
+        value = percent(rows[-1].completion if rows else None)
+        return chart(f"completion, {title}", value, driven, style, foot)
+
+    rewards = curve(history.updates, "earned")
     known = [value for value in rewards if value is not None]
     low, high = min(known, default=0.0), max(known, default=1.0)
     if 0 < low < 0.5 * high:
         low = 0.0
     earned = figure(history.updates[-1].earned)
     charts = [
-        _chart("reward", earned, bars(rewards, low, high, height), "magenta", across),
+        chart("reward", earned, bars(rewards, low, high, height), "magenta"),
         completion("training", history.updates, "cyan"),
         completion("evaluation", history.evaluations, "green", _best_mark(history, across)),
     ]
@@ -181,28 +182,6 @@ def _charts(history: TrainingHistory, width: int) -> RenderableType:
         grid.add_column(width=across, no_wrap=True)
     grid.add_row(*charts)
     return grid
-
-
-def _curve(
-    history: TrainingHistory, rows: Sequence[Row], name: str, width: int
-) -> list[float | None]:
-    """Return a metric over the time of training, in so many columns."""
-    values = [getattr(row, name) for row in rows]
-    return resampled(history.learnt_s(rows), values, history.updates[-1].time_s, width)
-
-
-def _chart(
-    title: str, value: str, lines: list[str], style: str, width: int, foot: str = ""
-) -> RenderableType:
-    from rich.text import Text
-
-    gap = " " * max(width - len(title) - len(value), 1)
-    text = Text.assemble((title, "dim"), gap, (value, f"bold {style}"))
-    for line in lines:
-        text.append("\n" + line, style=style)
-    if foot:
-        text.append("\n" + foot, style="bold yellow")
-    return text
 
 
 def _best_mark(history: TrainingHistory, width: int) -> str:
@@ -220,9 +199,6 @@ def _best_mark(history: TrainingHistory, width: int) -> str:
 
 
 def _figures(history: TrainingHistory) -> RenderableType:
-    from rich.table import Table
-    from rich.text import Text
-
     laps = Text("none yet", style="dim")
     if history.evaluations:
         last = history.evaluations[-1]
@@ -292,13 +268,13 @@ def _evaluation_line(row: EvaluationRow) -> str:
 
 
 def left_s(
-    history: TrainingHistory | None, budget_s: float | None, budget_steps: int | None
+    history: TrainingHistory, budget_s: float | None, budget_steps: int | None
 ) -> float | None:
     """Return the time until a limit is reached [s]; None without a limit, or without a speed."""
     times = []
     if budget_s is not None:
-        times.append(budget_s - (history.time_s if history else 0.0))
-    if budget_steps is not None and history is not None and history.updates:
+        times.append(budget_s - history.time_s)
+    if budget_steps is not None and history.updates:
         first, last = history.updates[-RECENT:][0], history.updates[-1]
         took, samples = last.time_s - first.time_s, last.samples - first.samples
         if samples <= 0:

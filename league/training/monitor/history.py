@@ -45,10 +45,9 @@ class UpdateRow:
     collect_s: float  # wall time of this update's rollout: physics, cameras, reward and policy [s]
     learn_s: float  # wall time of this update's learning [s]
     reward: _Number  # mean reward of a step
-    # mean sum of rewards of the last training episodes; None before the first one ended
-    earned: float | None
-    # mean completion of the last training episodes [%]; None before the first one ended
-    completion: float | None
+    # Of the last training episodes; None before the first one ended.
+    earned: float | None  # mean sum of rewards
+    completion: float | None  # mean completion [%]
     losses: dict[str, _Number]  # mean losses by rsl-rl's names
     log: dict[str, _Number]  # means of the worlds' log over the steps
 
@@ -77,11 +76,12 @@ class EvaluationRow:
     best: bool  # whether the policy was then the best so far
 
 
-_FIGURES = (
+# What rows take as it is, of an update and of an evaluation.
+_OF_UPDATE = ("number", "samples", "reward", "losses", "log")
+_OF_EVALUATION = (
     *("asked", "complete_laps", "clean_laps", "best_lap_s", "mean_lap_s", "best_flying_s"),
     *("off_tracks", "crashes"),
 )
-"""Figures of an evaluation that its row takes as they are."""
 Row = UpdateRow | EvaluationRow
 _ROW: TypeAdapter[Row] = TypeAdapter(Annotated[Row, Discriminator("row")])
 
@@ -128,10 +128,7 @@ class TrainingHistory:
         return bool(self.updates) and TEACHING in self.updates[-1].log
 
     def learnt_s(self, rows: Iterable[Row]) -> list[float]:
-        """Return the wall time at which the policy of each row had been learnt [s].
-
-        An evaluation takes a while, so its row is that much later.
-        """
+        """Return when the policy of each row had been learnt [s]: evaluations take a while."""
         times = {row.number: row.time_s for row in self.updates}
         return [times.get(row.number, row.time_s) for row in rows]
 
@@ -139,14 +136,12 @@ class TrainingHistory:
         """Add an update; `time_s` is the wall time of the run, before a resume too [s]."""
         completion = episodes.completion
         row = UpdateRow(
-            **{name: getattr(update, name) for name in ("number", "samples", "reward")},
+            **{name: getattr(update, name) for name in _OF_UPDATE},
             time_s=round(time_s, 4),
             collect_s=round(update.collect_s, 4),
             learn_s=round(update.learn_s, 4),
             earned=episodes.earned,
             completion=None if completion is None else 100.0 * completion,
-            losses={name: float(value) for name, value in update.losses.items()},
-            log={name: float(value) for name, value in update.log.items()},
         )
         self.updates.append(row)
         self._write(row)
@@ -155,10 +150,9 @@ class TrainingHistory:
     def add_evaluation(
         self, evaluation: Evaluation, number: int, *, time_s: float, took_s: float, best: bool
     ) -> EvaluationRow:
-        """Add an evaluation of the policy as it was after update `number`.
+        """Add an evaluation of the policy as it was after update `number`, `best` so far or not.
 
-        `time_s` is the wall time of the run so far, `took_s` how long learning waited for it [s];
-        `best` says whether the policy is the best so far.
+        `time_s` is the wall time of the run so far, `took_s` how long learning waited for it [s].
         """
         samples = next((row.samples for row in self.updates if row.number == number), 0)
         laps_s = evaluation.lap_times_s
@@ -169,7 +163,7 @@ class TrainingHistory:
             last_lap_s=laps_s[-1] if laps_s else None,
             best=best,
             **{name: round(value, 4) for name, value in times.items()},
-            **{name: getattr(evaluation, name) for name in _FIGURES},
+            **{name: getattr(evaluation, name) for name in _OF_EVALUATION},
         )
         self.evaluations.append(row)
         self._write(row)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,17 +22,14 @@ if TYPE_CHECKING:
     from league.envs.adapters.rsl_vec_env import RacingVecEnv
     from league.racing.table import Evaluation
     from league.rerun_view.viewer import Stream
-    from league.training.monitor.history import Row, TrainingHistory
+    from league.training.monitor.history import TrainingHistory
     from league.training.ppo.learner import Update
 
 FLUSH_S = 10  # seconds after which what was added is on the disk
 
 
 class TensorBoard(TrainingCallback):
-    """Adds a point to each chart; the step is the number of updates, as in rsl-rl.
-
-    Nothing is written, nor TensorBoard loaded, before the first update.
-    """
+    """Adds a point to each chart; the step is the number of updates, as in rsl-rl."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -82,7 +78,7 @@ class TensorBoard(TrainingCallback):
             self._writer = None
 
     def _add(self, points: dict[str, float | None], step: int) -> None:
-        if self._writer is None:
+        if self._writer is None:  # nothing is written before the first update
             from torch.utils.tensorboard import SummaryWriter
 
             # Points of a killed run beyond the update at which it is resumed are not shown.
@@ -104,7 +100,7 @@ class LiveView(TrainingCallback):
 
     def __init__(self, *envs: RacingVecEnv, window: bool | None = None) -> None:
         """Open the viewer, in a window where there is a display, and watch a learner's worlds."""
-        from league.rerun_view import blueprint
+        from league.rerun_view import layout
         from league.rerun_view.live import ShownCars, TrainingStream
         from league.rerun_view.viewer import Stream
 
@@ -112,10 +108,9 @@ class LiveView(TrainingCallback):
         world, sim = first.race_env.world, first.cfg.sim
         shown = ShownCars.of(world)
         track = first.race_env.tracks.tracks[int(world.track[shown.worlds[0]])]
-        layout = blueprint.training(len(shown.names), track.room)
-        self._stream: Stream | None = Stream(layout, window=window)
-        self.address = self._stream.address
-        """Where it can be watched."""
+        views = layout.training(len(shown.names), track.room)
+        self._stream: Stream | None = Stream(views, window=window)
+        self.address = self._stream.address  # Where it can be watched.
         recording, bots = self._stream.recording, sim.obstacles.kind == "bot"
         self._cars = TrainingStream(recording, track, shown, step_hz=sim.step_hz, bots=bots)
         for env in envs:
@@ -123,23 +118,23 @@ class LiveView(TrainingCallback):
 
     def update(self, history: TrainingHistory, update: Update) -> None:
         """Add an update to the charts; stop watching if the viewer has been closed."""
-        from league.rerun_view import paths
+        from league.rerun_view import layout
 
         if self._stream is not None and not self._stream.is_open:
             self.close()
         if self._stream is not None:
             row = history.updates[-1]
-            self._cars.add_metric(paths.PLOT_REWARD, row.earned)
-            self._cars.add_metric(paths.PLOT_TRAINING, row.completion)
+            self._cars.add_metric(layout.PLOT_REWARD, row.earned)
+            self._cars.add_metric(layout.PLOT_TRAINING, row.completion)
 
     def evaluated(self, history: TrainingHistory, evaluation: Evaluation) -> None:
         """Add an evaluation to the chart and to the list."""
-        from league.rerun_view import paths
+        from league.rerun_view import layout
 
         if self._stream is None or not self._stream.is_open:
             return
         row = history.evaluations[-1]
-        self._cars.add_metric(paths.PLOT_EVALUATION, row.completion)
+        self._cars.add_metric(layout.PLOT_EVALUATION, row.completion)
         lap = "" if row.best_lap_s is None else f", best lap {seconds(row.best_lap_s)}"
         star = " ★" if row.best else ""
         self._cars.add_event(
@@ -197,8 +192,7 @@ def draw_plot(history: TrainingHistory, path: Path) -> None:
 def plot_figure(history: TrainingHistory) -> Figure:
     """Return the three curves over the time of training, with samples along the upper edge.
 
-    Time and not samples, since a teacher may decide 20 times as often in the same time as the
-    policy that learns from it.
+    Not over samples, since a teacher may decide 20 times as often as the policy it teaches.
     """
     drawn = figures.figure(10.0, 5.4)
     completion = drawn.add_subplot()
@@ -210,39 +204,24 @@ def plot_figure(history: TrainingHistory) -> Figure:
     _shade_teacher(history, reward)
     _mark_best(history, completion)
     _label_axes(history, completion, reward)
-    drawn.legend(
-        handles=lines,
-        loc="outside lower center",
-        ncols=3,
-        frameon=False,
-        fontsize=10,
-        labelcolor=INK,
-    )
+    text: dict[str, Any] = {"frameon": False, "fontsize": 10, "labelcolor": INK}
+    drawn.legend(handles=lines, loc="outside lower center", ncols=3, **text)
     return drawn
 
 
 def _lines(history: TrainingHistory, completion: Axes, reward: Axes) -> list[Any]:
-    updates, evaluations = history.updates, history.evaluations
-    lines = []
-
-    def draw(axes: Axes, rows: Sequence[Row], name: str, label: str, **style: Any) -> None:  # noqa: ANN401
+    updates, evaluations, lines = history.updates, history.evaluations, []
+    dots = {"marker": "o", "markersize": 5, "markeredgecolor": "white", "clip_on": False}
+    curves: Any = (
+        (reward, updates, "earned", "reward (training)", {"color": _EARNED, "alpha": 0.9}),
+        (completion, updates, "completion", "% completion (training)", {"color": _DRIVEN}),
+        (completion, evaluations, "completion", "% completion (evaluation)", dots),
+    )
+    for axes, rows, name, label, style in curves:
         known = [row for row in rows if getattr(row, name) is not None]
         values = [getattr(row, name) for row in known]
-        label = f"average {label}"
-        lines.extend(
-            axes.plot(history.learnt_s(known), values, label=label, linewidth=1.8, **style)
-        )
-
-    draw(reward, updates, "earned", "reward (training)", color=_EARNED, alpha=0.9)
-    draw(completion, updates, "completion", "% completion (training)", color=_DRIVEN)
-    draw(
-        *(completion, evaluations, "completion", "% completion (evaluation)"),
-        color=_EVALUATED,
-        marker="o",
-        markersize=5,
-        markeredgecolor="white",
-        clip_on=False,
-    )
+        look = {"color": _EVALUATED, "label": f"average {label}", "linewidth": 1.8, **style}
+        lines += axes.plot(history.learnt_s(known), values, **look)
     completion.set_xlim(0, max(history.updates[-1].time_s, 1e-9))
     return lines
 
@@ -264,24 +243,14 @@ def _mark_best(history: TrainingHistory, axes: Axes) -> None:
         return
     (best_s,) = history.learnt_s([best])
     axes.axvline(best_s, color=_BEST, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)
-    axes.plot(
-        best_s,
-        best.completion,
-        marker="*",
-        markersize=19,
-        color=_BEST,
-        markeredgecolor="white",
-        markeredgewidth=1.2,
-        zorder=5,
-        clip_on=False,
-    )
-    label = "best model"
-    if best.best_lap_s is not None:
-        label += f": {best.best_lap_s:.2f} s a lap"
+    star: dict[str, Any] = {"marker": "*", "markersize": 19, "color": _BEST, "clip_on": False}
+    edge: dict[str, Any] = {"markeredgecolor": "white", "markeredgewidth": 1.2}
+    axes.plot(best_s, best.completion, **star, **edge, zorder=5)
+    lap = "" if best.best_lap_s is None else f": {best.best_lap_s:.2f} s a lap"
     right = best_s < 0.6 * axes.get_xlim()[1]
     # At the foot, below the curves: where a policy is good they are high.
     axes.annotate(
-        label,
+        f"best model{lap}",
         (best_s, 0.0),
         xytext=(9 if right else -9, 12),
         ha="left" if right else "right",

@@ -7,7 +7,6 @@ Without torchrun this process is the only rank, and torch.distributed is not ini
 import contextlib
 import os
 import signal
-import threading
 from collections.abc import Callable, Generator
 from typing import Any, TypeVar
 
@@ -16,6 +15,7 @@ import torch
 from torch import distributed
 
 from league.errors import ConfigError, LeagueError, brief
+from league.subprocesses import handling
 
 _Value = TypeVar("_Value")
 
@@ -108,11 +108,6 @@ def agreed(value: _Value) -> _Value:
     return gather(value)[0]
 
 
-def wait() -> None:
-    """Wait until all ranks have come here."""
-    gather(None)
-
-
 @contextlib.contextmanager
 def exchange() -> Generator[None]:
     """Raise a LeagueError if a rank has ended while this one waits for it."""
@@ -148,8 +143,7 @@ def failing_together() -> Generator[None]:
 def interrupted_together() -> Generator[Callable[[], None]]:
     """Let Ctrl-C and SIGTERM stop all ranks at the same place; a single rank stops at once.
 
-    Yields:
-        The place: a call that raises KeyboardInterrupt in all ranks if any was interrupted.
+    The place is what is yielded: it raises KeyboardInterrupt in all ranks if any was interrupted.
     """
     if count() == 1:
         yield lambda: None
@@ -161,15 +155,8 @@ def interrupted_together() -> Generator[Callable[[], None]]:
             _wait_for_first()
             raise KeyboardInterrupt
 
-    handlers: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():  # others receive no signals
-        for number in (signal.SIGINT, signal.SIGTERM):
-            handlers[number] = signal.signal(number, lambda number, _: received.append(number))
-    try:
+    with handling(lambda number, _: received.append(number), signal.SIGINT, signal.SIGTERM):
         yield place
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
 
 
 def _wait_for_first() -> None:

@@ -30,8 +30,7 @@ _NO_STATE = (
     *(OSError, AttributeError, KeyError, TypeError, ValueError, RuntimeError, EOFError),
     pickle.UnpicklingError,
 )
-AVERAGED = 50
-"""Most updates that an averaged policy goes back; in the first 500 a tenth of all updates."""
+AVERAGED = 50  # Most updates that an average goes back; in the first 500 a tenth of all updates.
 
 
 @dataclass(frozen=True)
@@ -47,15 +46,13 @@ class Update:
     log: dict[str, float]  # means of the worlds' log over the steps
     learning_rate: float | None = None  # step size of the optimiser
     mean_std: float | None = None  # mean standard deviation of the actions
-    # mean steps from one end of an episode to the next; None before the first one
-    episode_steps: float | None = None
+    episode_steps: float | None = None  # mean steps between ends of episodes; None before any
 
 
 class Learner:
-    """PPO with its worlds.
+    """PPO with its worlds; each rank of torchrun has a learner with worlds of its own.
 
-    Each rank of torchrun has a learner with worlds of its own. They update together, with equal
-    weights; rewards and episodes are reported of the rank's own worlds.
+    They update together, with equal weights; rewards and episodes are those of the rank's worlds.
     """
 
     def __init__(self, env: RacingVecEnv, cfg: TrainConfig) -> None:
@@ -100,8 +97,7 @@ class Learner:
     def weights(self) -> dict[str, np.ndarray]:
         """Return the actor's weights, averaged over the last updates, as copies.
 
-        One update can make a policy that rarely attacks, and the next one another: the average of
-        their weights drives better than any of them (docs/training.md).
+        The average drives better than any of those policies (docs/training.md).
         """
         return network.from_learner(self._average)
 
@@ -165,8 +161,7 @@ class Learner:
     def save(self, path: Path, notes: dict[str, object]) -> None:
         """Write all that a resume needs: networks, optimiser, generators, counts, notes.
 
-        The first rank writes; the others have the same networks, and their random numbers restart
-        with the rows. PolicyError if it cannot be written; a state that was there stays.
+        Of several ranks the first one writes. PolicyError if it cannot; the old state stays then.
         """
         if not distributed.is_first():
             return
@@ -201,13 +196,9 @@ class Learner:
         return notes
 
     def restart_rows(self) -> None:
-        """Restart all episodes, from a seed that is a function of updates and rank.
-
-        Of several ranks, exploration continues from that seed, too, so that no generator of another
-        rank has to be saved.
-        """
+        """Restart all episodes, from a seed that is a function of updates and rank."""
         seed = distributed.seed(self.cfg.seed * 1_000_003 + self.updates)
-        if distributed.count() > 1:
+        if distributed.count() > 1:  # so that no generator of another rank has to be saved
             torch.manual_seed(seed)
         with torch.inference_mode():
             self._obs = self.env.reset(seed, self._next_tracks())
@@ -249,9 +240,9 @@ class Learner:
         return np.arange(first, first + worlds) % len(self.env.race_env.tracks.tracks)
 
     def _collect(self) -> tuple[float, dict[str, float]]:
-        reward, sums = 0.0, {}
+        reward, sums, steps = 0.0, {}, self.cfg.ppo.rollout
         with torch.inference_mode():
-            for _ in range(self.cfg.ppo.rollout):
+            for _ in range(steps):
                 self._obs, rewards, dones, extras = self.env.step(self._alg.act(self._obs))
                 normalized = self._normalization.normalize(rewards, dones)
                 # rsl-rl adds the critic's value to the rewards of `time_outs`.
@@ -262,7 +253,6 @@ class Learner:
                 reward += float(rewards.mean())
                 for name, value in extras["log"].items():
                     sums[name] = sums.get(name, 0.0) + float(value)
-        steps = self.cfg.ppo.rollout
         return reward / steps, {name: value / steps for name, value in sums.items()}
 
     def _schedule(self, share: float) -> None:
@@ -284,17 +274,14 @@ class Learner:
         groups = list(network.group_shapes(cfg.sensors))
         meets = self.env.cfg.scenarios is not None
         seen = ["state", "truth", "motion"] if meets else ["state"]
+        hidden = list(cfg.critic_hidden)
+        critic = {"hidden_dims": hidden, "activation": "elu", "obs_normalization": True}
         return {
             "num_steps_per_env": ppo.rollout,
             "multi_gpu": distributed.rsl_rl_settings(),
             "obs_groups": {"actor": groups, "critic": seen},
             "actor": actor_settings(cfg),
-            "critic": {
-                "class_name": MLPModel,
-                "hidden_dims": list(cfg.critic_hidden),
-                "activation": "elu",
-                "obs_normalization": True,
-            },
+            "critic": {"class_name": MLPModel, **critic},
             "algorithm": {
                 "class_name": PPO,
                 "num_learning_epochs": ppo.epochs,

@@ -2,13 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Literal
 
 import torch
 
-from league.agents.driver import Driver
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig, Scenarios
+from league.envs.driver import Driver
 from league.envs.rewards import Reward
 from league.errors import ConfigError, brief
 from league.sim.config import (
@@ -27,8 +26,7 @@ GENERATED = "generated:"
 MAX_GENERATED = 2000
 MAX_EVALUATED = 4  # largest number of named tracks to evaluate on
 RANDOM_EVALUATED = 12  # random tracks to evaluate on
-FIRST_EVALUATED = 1_000_000
-"""Seed of the first random track to evaluate on, beyond all that are trained on."""
+FIRST_EVALUATED = 1_000_000  # seed of the first of these, beyond those of training
 
 
 def load_tracks(names: Sequence[str]) -> list[Track]:
@@ -88,21 +86,27 @@ def _num_generated(name: str) -> int:
     return int(text)
 
 
-_ENDLESS = 1000
-"""Laps of a race in training: an episode is ended by a mistake or by time, not by the flag."""
-LEARNER_ATTACKS = 0.5
-"""Share of scenarios in which the only car that learns is sure to be the fastest of its group."""
+_ENDLESS = 1000  # Laps of a race in training: a mistake or time ends an episode, not the flag.
+LEARNER_ATTACKS = 0.5  # Share of scenarios in which the only car that learns is the fastest around.
 VISUAL_RANDOMIZATION = VisualRandomization(light=0.3, colour=0.15, noise=6.0, blur=0.6)
 
 
 def env_config(cfg: TrainConfig) -> EnvConfig:
     """Return the settings of the worlds."""
+    share = cfg.dynamics_randomization
     sim = SimConfig(
         kind=cfg.kind,
         num_cars=cfg.num_cars,
         obstacles=ObstacleConfig(count=cfg.obstacles, kind="bot" if cfg.bots else "box"),
         rules=replace(RULES[cfg.rules], laps=_ENDLESS),
-        spread=_spread(cfg.dynamics_randomization),
+        spread=DynamicsRandomization(
+            grip=GRIP_SPREAD * share,
+            mass=0.1 * share,
+            latency_s=0.03 * share,
+            steering_offset=0.02 * share,
+            camera_position=0.01 * share,
+            camera_angle=0.02 * share,
+        ),
     )
     # Cars that start anywhere on a lap hardly ever meet.
     shortest = min(Scenarios.shortest, cfg.episode_s)
@@ -111,30 +115,14 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         sim=sim,
         solver="planar",
         sensors=(cfg.sensors,) * cfg.num_cars,
-        camera_path=camera_path(cfg.device),
+        # Compiled painting on a CPU, ray casting on a GPU.
+        camera_path="paint" if torch.device(cfg.device).type == "cpu" else "ray",
         looks=VISUAL_RANDOMIZATION if cfg.visual_randomization else None,
         mode="training",
         reward=cfg.reward,
         episode_s=cfg.episode_s,
         scenarios=meeting,
     )
-
-
-def _spread(share: float) -> DynamicsRandomization:
-    """Return how far cars differ; a share of 1 as cars of one model do."""
-    return DynamicsRandomization(
-        grip=GRIP_SPREAD * share,
-        mass=0.1 * share,
-        latency_s=0.03 * share,
-        steering_offset=0.02 * share,
-        camera_position=0.01 * share,
-        camera_angle=0.02 * share,
-    )
-
-
-def camera_path(device: torch.device | str) -> Literal["paint", "ray"]:
-    """Return how pictures are rendered: by compiled painting on a CPU, by ray casting on a GPU."""
-    return "paint" if torch.device(device).type == "cpu" else "ray"
 
 
 def make(

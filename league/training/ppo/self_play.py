@@ -17,8 +17,8 @@ import torch
 from tensordict import TensorDict
 
 from league.agents import roster
-from league.agents.driver import Driver
 from league.envs.actions import to_actions
+from league.envs.driver import Driver
 from league.envs.race_env import RaceEnv
 from league.envs.rewards import PRESETS, Reward
 from league.sim.config import SensorConfig
@@ -28,22 +28,16 @@ from league.training.ppo import make_env
 from league.training.ppo.learner import Learner, Update
 from league.training.ppo.teacher import TaughtLearner, Teacher
 
-WARM_UP = 0.04
-"""Share of a stage before rivals become faster or slower: the cars learn to drive."""
+WARM_UP = 0.04  # Share of a stage before rivals become faster or slower: the cars learn to drive.
 ENOUGH, AT_LAST = 0.45, 0.7
 """Share of clean attacks above which rivals become faster, at the start and the end of the first
 stage; in the second it stays at the first value."""
-SLACK = 0.1
-"""How far below that share rivals become slower."""
-PACE_STEP = 2.5
-"""How much the rivals' largest top speed would change over a whole stage of success."""
+SLACK = 0.1  # How far below that share rivals become slower.
+PACE_STEP = 2.5  # How much the rivals' largest top speed changes over a whole stage of success.
 FIRST_PACE, LEAST_PACE, RANGE = 0.70, 0.60, 0.25
 """Largest top speed of rivals at first and at least, and how far below it the smallest lies."""
-DEAR = 6.0
-"""Price of a contact at the end of a stage, as a multiple of its price at the start: more than a
-pass earns."""
-SPREAD = 0.5
-"""Least randomisation of the cars; see TrainConfig."""
+DEAR = 6.0  # Price of a contact at the end of a stage, in its first: more than a pass earns.
+SPREAD = 0.5  # Least randomisation of the cars; see TrainConfig.
 SCRIPTED: tuple[tuple[float, tuple[str, ...]], ...] = (
     (0.25, ("centerline",)),
     (0.125, ("racing_line", "cautious", "blocker")),
@@ -51,8 +45,9 @@ SCRIPTED: tuple[tuple[float, tuple[str, ...]], ...] = (
 """Shares of the worlds of a policy with its own sensors in which scripted drivers have the other
 cars, in turn. The racer drives slow cars well; others brake for bends and keep to lines of their
 own."""
-_LATELY = 100.0
-"""Attacks after which what is known about earlier ones counts half."""
+_LATELY = 100.0  # Attacks after which what is known about earlier ones counts half.
+
+_KEPT = ("pace", "share", "attacks", "passed", "clean")  # what a curriculum's state is made of
 
 
 class Curriculum:
@@ -64,9 +59,8 @@ class Curriculum:
         `at_last` is the share of clean attacks above which rivals become faster at its end.
         """
         self._rows, self._at_last = rows, at_last
-        self.pace = FIRST_PACE
-        """Largest top speed of rivals, as a share of the fastest car's."""
-        self._share = self._attacks = self._passed = self._clean = 0.0
+        self.pace = FIRST_PACE  # largest top speed of rivals, as a share of the fastest car's
+        self.share = self.attacks = self.passed = self.clean = 0.0
 
     def prepare(self, worlds: RaceEnv, share: float) -> None:
         """Set rivals' top speeds and the price of contacts, at a share of the stage."""
@@ -83,36 +77,29 @@ class Curriculum:
             self._rows * update.log[f"/race/{name}"] for name in ("attacks", "passed", "clean")
         )
         kept = 0.5 ** (attacks / _LATELY)
-        self._attacks = kept * self._attacks + attacks
-        self._passed = kept * self._passed + passed
-        self._clean = kept * self._clean + clean
+        self.attacks = kept * self.attacks + attacks
+        self.passed = kept * self.passed + passed
+        self.clean = kept * self.clean + clean
         enough = ENOUGH + (self._at_last - ENOUGH) * share
-        step = PACE_STEP * max(share - self._share, 0.0)
-        self._share = share
-        succeeded = self._clean / max(self._attacks, 1.0)
+        step = PACE_STEP * max(share - self.share, 0.0)
+        self.share = share
+        succeeded = self.clean / max(self.attacks, 1.0)
         if share > WARM_UP and succeeded > enough:
             self.pace = min(self.pace + step, 1.0)
         elif share > WARM_UP and succeeded < enough - SLACK:
             self.pace = max(self.pace - step, LEAST_PACE)
-        shares = {"clean": succeeded, "passed": self._passed / max(self._attacks, 1.0)}
+        shares = {"clean": succeeded, "passed": self.passed / max(self.attacks, 1.0)}
         log = {f"/race/{name}": value for name, value in {"pace": self.pace, **shares}.items()}
         return replace(update, log=update.log | log)
 
     def state(self) -> dict[str, float]:
         """Return what a resumed run goes on from."""
-        return {
-            "pace": self.pace,
-            "share": self._share,
-            "attacks": self._attacks,
-            "passed": self._passed,
-            "clean": self._clean,
-        }
+        return {name: getattr(self, name) for name in _KEPT}
 
     def restore(self, state: dict[str, float]) -> None:
         """Take over what `state` returned."""
-        self.pace, self._share = float(state["pace"]), float(state["share"])
-        self._attacks = float(state["attacks"])
-        self._passed, self._clean = float(state["passed"]), float(state["clean"])
+        for name in _KEPT:
+            setattr(self, name, float(state[name]))
 
 
 class Rival:
@@ -129,10 +116,10 @@ class Rival:
         Scripted drivers know one track: on several the racer drives in all worlds.
         """
         self.name, self._racer = "racer", racer
-        self._scripted: list[tuple[float, Driver]] = []
-        for share, names in SCRIPTED if len(tracks.tracks) == 1 else ():
-            driver = roster.load(names[(car - 1) % len(names)], tracks, racer.car)
-            self._scripted.append((share, driver))
+        self._scripted = [
+            (share, roster.load(names[(car - 1) % len(names)], tracks, racer.car))
+            for share, names in (SCRIPTED if len(tracks.tracks) == 1 else ())
+        ]
 
     def reset(self, rows: np.ndarray | None) -> None:
         """Clear the scripted drivers' memory; the racer remembers nothing."""
@@ -172,12 +159,7 @@ class Racer(_OnCurriculum, Teacher):
     groups = ("truth", "motion")
 
     def __init__(self, tracks: TrackSet, cfg: TrainConfig) -> None:
-        """Build its worlds and networks.
-
-        Args:
-            tracks: where it learns.
-            cfg: settings that `TrainConfig.on_truth` returned.
-        """
+        """Build its worlds and networks, of settings that `TrainConfig.on_truth` returned."""
         super().__init__(make_env.make(tracks, cfg), cfg)
         self.car = self.env.cfg.sim.car
         self.curriculum = Curriculum(self.env.num_envs * cfg.ppo.rollout)
@@ -194,19 +176,14 @@ class RacingLearner(_OnCurriculum, TaughtLearner):
     def __init__(self, tracks: TrackSet, cfg: TrainConfig, racer: Racer, **settings: Any) -> None:  # noqa: ANN401
         """Build the worlds, in which the racer drives the other cars, networks and storage.
 
-        Args:
-            tracks: where it learns.
-            cfg: settings of the run, with the racer's share of the budget.
-            racer: in worlds of its own.
-            settings: of make_env.make.
+        The racer learns in worlds of its own; `settings` are those of make_env.make.
         """
         rivals: dict[int, Driver | str] = {
             car: Rival(racer, tracks, car) for car in range(1, cfg.num_cars)
         }
         env = make_env.make(tracks, cfg, opponents=rivals, **settings)
         super().__init__(env, cfg, racer)
-        self.racer = racer
-        """The network that sees the true state."""
+        self.racer = racer  # The network that sees the true state.
         self.curriculum = Curriculum(self.env.num_envs * cfg.ppo.rollout, at_last=ENOUGH)
 
     def _learn(self, share: float) -> Update:
@@ -218,10 +195,7 @@ class RacingLearner(_OnCurriculum, TaughtLearner):
 def make_racing(tracks: TrackSet, cfg: TrainConfig, *, reward: Reward | None = None) -> Learner:
     """Build the learner of a run of self-play: of the true state alone, or of its own sensors.
 
-    Args:
-        tracks: where it learns.
-        cfg: settings of the run.
-        reward: in Python, for the policy with its own sensors; None: the preset `race`.
+    `reward`, in Python, is for a policy with its own sensors; None: the preset `race`.
     """
     # Differences between the cars make other rivals than a top speed does.
     spread = max(cfg.dynamics_randomization, SPREAD)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import torch
@@ -30,9 +31,8 @@ class Episode:
 class EpisodeStatistics:
     """The last episodes of all rows.
 
-    As in the AWS console, an episode ends with a mistake or with a complete lap; after its lap a
-    car is in its next episode. Episodes cut off by a save point count, too: good drivers are cut
-    off more often than bad ones.
+    As in the AWS console, an episode ends with a mistake or a complete lap, after which the next
+    begins. Those cut off by a save point count, too: good drivers are cut off more often.
     """
 
     def __init__(self, num_rows: int) -> None:
@@ -50,12 +50,9 @@ class EpisodeStatistics:
         self._clear()
 
     def add(self, rewards: Tensor, dones: Tensor, extras: dict[str, Any]) -> None:
-        """Add one step of all rows.
+        """Add one step of all rows; all are (num_rows,).
 
-        Args:
-            rewards: of the step, (num_rows,).
-            dones: 1 where an episode of the worlds has ended, (num_rows,).
-            extras: with `driven`, laps since it started, (num_rows,).
+        `dones` is 1 where an episode of the worlds has ended; `extras` has `driven`, laps since.
         """
         self._reward = self._reward + rewards.to("cpu")
         self._steps = self._steps + 1
@@ -174,12 +171,8 @@ class RewardNormalization:
 
     def synchronize(self) -> None:
         """Join what each rank has seen since the last time, so that all divide by the same."""
-        if distributed.count() == 1:
-            return
-        seen = self._shared
-        for recent in distributed.gather(self._recent):
-            seen = seen.joined(recent)
-        self.restore(seen)
+        if distributed.count() > 1:
+            self.restore(reduce(Moments.joined, distributed.gather(self._recent), self._shared))
 
     @property
     def deviation(self) -> float:

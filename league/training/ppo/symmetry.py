@@ -65,11 +65,9 @@ def observations(groups: TensorDict, sensors: SensorConfig) -> TensorDict:
     mirrored: dict[str, Tensor] = {}
     for name in map(str, groups.keys()):
         group = groups[name]
-        if name == "stereo":
-            assert sensors.camera is not None
+        if name == "stereo" and sensors.camera is not None:
             mirrored[name] = stereo(group, sensors.camera.num_eyes, sensors.frames)
-        elif name == "lidar":
-            assert sensors.lidar is not None
+        elif name == "lidar" and sensors.lidar is not None:
             mirrored[name] = lidar(group, sensors.lidar)
         elif name == "history":
             mirrored[name] = history(group, sensors)
@@ -98,8 +96,7 @@ class Symmetry:
         """Set what is mirrored, and how many mini-batches make an epoch."""
         self._sensors, self._space = sensors, space
         self._mini_batches, self._count = mini_batches, 0
-        self.turned = False
-        """Whether the last mini-batch was mirrored."""
+        self.turned = False  # Whether the last mini-batch was mirrored.
 
     def restart(self) -> None:
         """Start an update."""

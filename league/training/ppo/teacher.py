@@ -32,8 +32,7 @@ from league.training.ppo import distributed, make_env, symmetry
 from league.training.ppo.learner import Learner, Update
 from league.training.ppo.statistics import EpisodeStatistics
 
-NOISE_SHARE = 0.375
-"""Share of the first noise with which a taught policy starts: it need not find the way alone."""
+NOISE_SHARE = 0.375  # Share of the first noise for a taught policy: it need not find the way alone.
 
 
 def teacher_config(cfg: TrainConfig) -> TrainConfig:
@@ -50,8 +49,7 @@ def teacher_config(cfg: TrainConfig) -> TrainConfig:
 class Teacher(Learner):
     """PPO learner with the privileged state, else seen by the critic alone, as observation."""
 
-    groups = ("state", "motion")
-    """Its observation groups, and its critic's."""
+    groups = ("state", "motion")  # Its observation groups, and its critic's.
 
     def targets(self, observations: TensorDict) -> Tensor:
         """Return its actions, or log probabilities of choices, without gradients."""

@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 from league.race_spec import CarResult, Entry, Event, RaceResult, RaceSpec
-from league.replay.commentary import Commentator, Remark, shortened
-from league.replay.director import HOLD_S, SHORTEST_S, Director
+from league.replay.broadcast import (
+    HOLD_S,
+    SHORTEST_S,
+    Commentator,
+    Director,
+    Remark,
+    shortened,
+)
 
 STEP_S = 1 / 15
 

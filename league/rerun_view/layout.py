@@ -1,50 +1,82 @@
-"""Layouts of the viewer: for a race like a broadcast, for training the whole track and charts."""
+"""Layout of a recording: where its entities are, and how the viewer shows them.
+
+A race is laid out like a broadcast, training as the whole track and charts.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import rerun.blueprint as rrb
 
-from league.rerun_view import paths
+APPLICATION = "racing-league"
+TIMELINE = "race_time"  # the only timeline, a duration from the start of the race
 
-TRAIL_S = 2.5
-"""How much of its path each car trails [s]."""
+WORLD = "world"  # world frame, z up [m]
+FLOOR = "world/track/floor"
+WALLS = "world/track/walls"
+OBSTACLES = "world/obstacles"
+CHASE = "world/chase"  # a frame that follows the front of the race; the main view looks from it
+
+TITLE = "race/classification"
+EVENTS = "race/events"
+PLOT_SPEED = "plots/speed"
+PLOT_STEERING = "plots/steering"
+PLOT_GAP = "plots/gap"
+PLOT_REWARD = "plots/reward"
+PLOT_TRAINING = "plots/completion/training"
+PLOT_EVALUATION = "plots/completion/evaluation"
+
+WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
+EYES = ("left", "right")
+
+TRAIL_S = 2.5  # how much of its path each car trails [s]
 Play = Literal["playing", "following"]
+Room = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max [m]
 BACKGROUND = (18, 22, 28)
-CHASE_EYE = (-1.55, 0.0, 0.78)
-"""Where the chase camera sits in the chase frame [m]."""
-CHASE_TARGET = (1.35, 0.0, 0.05)
-"""What it looks at, in the chase frame [m]."""
+CHASE_EYE = (-1.55, 0.0, 0.78)  # where the chase camera sits in the chase frame [m]
+CHASE_TARGET = (1.35, 0.0, 0.05)  # what it looks at, in the chase frame [m]
+
+
+def car(slot: int, *part: str) -> str:
+    """Return a car's frame (its base, x ahead), or what lies in it, such as "wheels", which."""
+    return "/".join([f"world/cars/car_{slot}", *part])
+
+
+def trail(slot: int) -> str:
+    """Return the path a car leaves, world frame."""
+    return f"world/trails/car_{slot}"
+
+
+def obstacle(index: int) -> str:
+    """Return one box or bot car."""
+    return f"{OBSTACLES}/{index}"
 
 
 def broadcast(
-    num_cars: int,
-    names: tuple[str, ...],
-    room: tuple[float, float, float, float],
-    *,
-    cameras: bool = True,
-    live: bool = False,
+    names: Sequence[str], room: Room, *, cameras: bool, live: bool = False
 ) -> rrb.Blueprint:
-    """Return the layout of a race in a room from x_min, y_min to x_max, y_max [m].
+    """Return the layout of a race of drivers with these names.
 
     `cameras`: the recording holds the cars' eyes. `live`: follow the newest step instead of playing
     from the start.
     """
+    num_cars = len(names)
     scenes = rrb.Tabs(
-        _scene(num_cars, paths.CHASE, "Chase", CHASE_EYE, CHASE_TARGET),
+        _scene(num_cars, CHASE, "Chase", CHASE_EYE, CHASE_TARGET),
         _overview(num_cars, room),
         active_tab=0,
         name="Race",
     )
     left: list[Any] = [scenes]
     if cameras:
-        left.append(_eyes(num_cars, names))
+        left.append(_eyes(names))
     charts = rrb.Vertical(
-        rrb.TextDocumentView(origin=paths.TITLE, name="Order"),
-        _chart(paths.PLOT_SPEED, "Speed [m/s]"),
-        _chart(paths.PLOT_GAP, "Behind the leader [m]"),
-        _chart(paths.PLOT_STEERING, "Steering [deg]"),
+        rrb.TextDocumentView(origin=TITLE, name="Order"),
+        _chart(PLOT_SPEED, "Speed [m/s]"),
+        _chart(PLOT_GAP, "Behind the leader [m]"),
+        _chart(PLOT_STEERING, "Steering [deg]"),
         _list("Events"),
         row_shares=[1.5 + 0.2 * num_cars, 1, 1, 1, 1.2],
     )
@@ -56,7 +88,7 @@ def broadcast(
     )
 
 
-def training(num_cars: int, room: tuple[float, float, float, float]) -> rrb.Blueprint:
+def training(num_cars: int, room: Room) -> rrb.Blueprint:
     """Return the layout of cars that learn: the whole track, and their metrics.
 
     It plays at its own pace and waits at the end for more, which is smoother than following the
@@ -64,8 +96,8 @@ def training(num_cars: int, room: tuple[float, float, float, float]) -> rrb.Blue
     """
     charts = rrb.Vertical(
         _chart("plots/completion", "Completion [%]"),
-        _chart(paths.PLOT_REWARD, "Reward of an episode"),
-        _chart(paths.PLOT_SPEED, "Speed [m/s]"),
+        _chart(PLOT_REWARD, "Reward of an episode"),
+        _chart(PLOT_SPEED, "Speed [m/s]"),
         _list("Evaluations"),
         row_shares=[1, 1, 1, 1],
     )
@@ -82,19 +114,19 @@ def _layout(
         rrb.TopPanel(state="hidden"),
         rrb.TimePanel(
             state="collapsed",
-            timeline=paths.TIMELINE,
+            timeline=TIMELINE,
             play_state=play,
             loop_mode="all" if loop else None,
         ),
     )
 
 
-def _overview(num_cars: int, room: tuple[float, float, float, float]) -> rrb.Spatial3DView:
+def _overview(num_cars: int, room: Room) -> rrb.Spatial3DView:
     x_min, y_min, x_max, y_max = room
     middle = ((x_min + x_max) / 2, (y_min + y_max) / 2)
     reach = max(x_max - x_min, (y_max - y_min) * 1.6)
     eye = (middle[0], y_min - 0.45 * reach, 0.72 * reach)
-    return _scene(num_cars, paths.WORLD, "Whole track", eye, (*middle, 0.0))
+    return _scene(num_cars, WORLD, "Whole track", eye, (*middle, 0.0))
 
 
 Point = tuple[float, float, float]
@@ -102,32 +134,32 @@ Point = tuple[float, float, float]
 
 def _scene(num_cars: int, origin: str, name: str, eye: Point, target: Point) -> rrb.Spatial3DView:
     # The eyes' pictures would hang in front of the cars in 3D; they have views of their own.
-    hidden = [f"- /{paths.eyes(slot)}/**" for slot in range(num_cars)]
+    hidden = [f"- /{car(slot, 'eyes')}/**" for slot in range(num_cars)]
     window = rrb.VisibleTimeRanges(
-        timeline=paths.TIMELINE,
+        timeline=TIMELINE,
         start=rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
         end=rrb.TimeRangeBoundary.cursor_relative(),
     )
     return rrb.Spatial3DView(
         origin=origin,
-        contents=[f"+ /{paths.WORLD}/**", *hidden],
+        contents=[f"+ /{WORLD}/**", *hidden],
         name=name,
         background=BACKGROUND,
         line_grid=False,
         eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0.0, 0.0, 1.0)),
-        overrides={paths.trail(slot): window for slot in range(num_cars)},
+        overrides={trail(slot): window for slot in range(num_cars)},
     )
 
 
-def _eyes(num_cars: int, names: tuple[str, ...]) -> rrb.Container:
+def _eyes(names: Sequence[str]) -> rrb.Container:
     pairs = []
-    for slot, name in enumerate(names[:num_cars]):
+    for slot, name in enumerate(names):
         views = [
-            rrb.Spatial2DView(origin=paths.eye(slot, side), name=f"{name}: {side} eye")
-            for side in paths.EYES
+            rrb.Spatial2DView(origin=car(slot, "eyes", side), name=f"{name}: {side} eye")
+            for side in EYES
         ]
         pairs.append(rrb.Horizontal(*views, name=name))
-    if num_cars <= 2:
+    if len(names) <= 2:
         return rrb.Horizontal(*pairs)
     return rrb.Tabs(*pairs, name="Eyes")
 
@@ -138,4 +170,4 @@ def _chart(origin: str, name: str) -> rrb.TimeSeriesView:
 
 def _list(name: str) -> rrb.TextLogView:
     columns = rrb.TextLogColumns(text_log_columns=["Body"])
-    return rrb.TextLogView(origin=paths.EVENTS, name=name, columns=columns)
+    return rrb.TextLogView(origin=EVENTS, name=name, columns=columns)

@@ -1,8 +1,12 @@
-"""The story of a race as sentences: attacks, passes, contacts, gaps at the line, the winner."""
+"""A race as it is broadcast: its story in sentences, and which cars the camera follows.
+
+The story tells of attacks, passes, contacts, gaps at the line and the winner; the director follows
+the closest fight, and cuts when it is decided.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -18,20 +22,19 @@ Cars = Mapping[str, np.ndarray] | np.ndarray
 _MOTION = ("x", "y", "velocity_x", "velocity_y", "distance")
 FIELDS = (*_MOTION, "laps", "ghost")
 
-ATTACK = 0.7
-"""An attacker is at most this far behind along the track, between the bases [m]."""
-APART = 1.5
-"""From here on a fight is over [m]."""
+ATTACK = 0.7  # an attacker is at most this far behind along the track, between the bases [m]
+APART = 1.5  # from here on a fight is over [m]
 LEVEL = 0.75 * CarConfig().length
 """Two cars closer than this overlap by a quarter of their length: side by side [m]."""
-CLOSING = 0.1
-"""An attacker comes closer at least this fast [m/s]."""
-QUIET_S = 5.0
-"""The same pair is not mentioned as attacking or level again for so long [s]."""
-AFTER_START_S = 1.5
-"""On the grid all cars are close to each other [s]."""
-BACK_S = 10.0
-"""A pass so soon after being passed takes the place back [s]."""
+CLOSING = 0.1  # an attacker comes closer at least this fast [m/s]
+QUIET_S = 5.0  # the same pair is not mentioned as attacking or level again for so long [s]
+AFTER_START_S = 1.5  # on the grid all cars are close to each other [s]
+BACK_S = 10.0  # a pass so soon after being passed takes the place back [s]
+PACK = 3.0  # two cars this close along the track [m] are in one picture
+SHORTEST_S = 2.5  # no shot is shorter [s]
+HOLD_S = 1.5  # a fight that is decided is still shown for so long [s]
+CLOSER = 0.5  # another fight is worth a cut if its gap is at most this share of the present one's
+SMOOTHING_S = 0.45  # how slowly the chase camera turns; it moves three times as fast [s]
 
 _WEIGHT = {
     "winner": 0, "closest_fight": 0, "overtake": 1, "forced_off": 1, "crash": 2, "lead_change": 2,
@@ -45,16 +48,11 @@ _WEIGHT = {
 class Remark:
     """One sentence of the story."""
 
-    time_s: float
-    """Race time [s]."""
-    kind: str
-    """An event's kind, or attack, side_by_side, defended, gap, winner, closest_fight."""
-    car: int
-    """Grid slot of the car it is about."""
-    lap: int
-    """Lap that this car was on, from 1."""
-    text: str
-    """The sentence, without lap and time."""
+    time_s: float  # race time [s]
+    kind: str  # an event's kind, or attack, side_by_side, defended, gap, winner, closest_fight
+    car: int  # grid slot of the car it is about
+    lap: int  # lap that this car was on, from 1
+    text: str  # the sentence, without lap and time
 
     @property
     def stamped(self) -> str:
@@ -66,14 +64,11 @@ class Remark:
 class _Fight:
     """What two cars have between them."""
 
-    near_s: float = 0.0
-    """How long they have been close, in the whole race [s]."""
-    attacker: int | None = None
-    """Who attacks and has neither passed nor fallen back."""
+    near_s: float = 0.0  # how long they have been close, in the whole race [s]
+    attacker: int | None = None  # who attacks and has neither passed nor fallen back
+    # when each kind of line was last said [s]
     said_s: dict[str, float] = field(default_factory=dict)
-    """When each kind of line was last said [s]."""
-    passed: tuple[int, float] | None = None
-    """Who passed last, and when [s]."""
+    passed: tuple[int, float] | None = None  # who passed last, and when [s]
 
 
 class Commentator:
@@ -282,15 +277,145 @@ def _won(result: RaceResult) -> str:
     return f"{first.name} wins by its {result.spec.ranking} lap time, before {second.name}"
 
 
+def moments(replay: Replay) -> Iterator[tuple[float, Cars]]:
+    """Yield the time [s] of each frame and its cars."""
+    columns = {name: getattr(replay.columns, name) for name in FIELDS}
+    for frame, time_s in enumerate(replay.times_s.tolist()):
+        yield time_s, {name: column[frame] for name, column in columns.items()}
+
+
 def of_replay(replay: Replay) -> list[Remark]:
     """Return the whole story of a recorded race, in order of time."""
-    columns = {name: getattr(replay.columns, name) for name in FIELDS}
     events: dict[int, list[Event]] = {}
     for event in replay.result.events:
         events.setdefault(round(event.time_s * replay.step_hz), []).append(event)
     commentator = Commentator(replay.spec, replay.names, closed=replay.track.closed)
     lines: list[Remark] = []
-    for frame, time_s in enumerate(replay.times_s.tolist()):
-        cars = {name: column[frame] for name, column in columns.items()}
+    for frame, (time_s, cars) in enumerate(moments(replay)):
         lines += commentator.add(time_s, cars, events.get(frame, ()))
     return lines + commentator.end(replay.result)
+
+
+# The camera ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Shot:
+    """What a camera shows."""
+
+    front: int  # the car in front of a fight, or a car alone
+    rear: int  # the car behind, from behind which both are seen; `front` if it is alone
+    since_s: float  # when the shot began [s]
+
+    def sentence(self, names: tuple[str, ...], cars: Cars) -> str:
+        """Return who attacks and the gap in seconds; empty where no car is near."""
+        gap = abs(float(cars["distance"][self.front] - cars["distance"][self.rear]))
+        if self.front == self.rear or gap > APART:
+            return ""
+        front, rear = names[self.front], names[self.rear]
+        if gap < LEVEL:
+            return f"{rear} and {front} side by side"
+        does = "attacks" if gap < ATTACK else "chases"
+        return f"{rear} {does} {front}, {gap_s(cars, self.front, self.rear):.1f} s"
+
+
+class Director:
+    """Chooses what to show step by step; the same for a film and a live view."""
+
+    def __init__(self) -> None:
+        self.shot: Shot | None = None  # what is shown; None before the first step
+        self._open_s = 0.0  # when the fight of this shot was last undecided
+
+    def add(self, time_s: float, cars: Cars) -> Shot:
+        """Return what to show at a step that follows the one before."""
+        gaps = gaps_m(cars)
+        if self.shot is None:
+            self.shot = _best(gaps, cars, time_s)
+            return self.shot
+        shot = self.shot
+        gap = gaps.get((shot.front, shot.rear))
+        if gap is None and (shot.rear, shot.front) in gaps:
+            gap = gaps[shot.rear, shot.front]
+            # Side by side the order flickers: a pass is one when it is clear.
+            if gap > LEVEL:
+                shot = replace(shot, front=shot.rear, rear=shot.front)
+        if gap is not None and gap <= PACK:
+            self._open_s = time_s
+        if np.asarray(cars["ghost"]).all():
+            return shot
+        best = _best(gaps, cars, time_s)
+        decided = time_s - self._open_s >= HOLD_S
+        other = {best.front, best.rear} != {shot.front, shot.rear}
+        # The camera does not leave an attack, and what happened at its end is still shown.
+        dull = gap is not None and ATTACK < gap <= PACK
+        closer = dull and gaps.get((best.front, best.rear), np.inf) <= CLOSER * (gap or 0.0)
+        if other and time_s - shot.since_s >= SHORTEST_S and (decided or closer):
+            shot, self._open_s = best, time_s
+        self.shot = shot
+        return shot
+
+
+def _best(gaps: dict[tuple[int, int], float], cars: Cars, time_s: float) -> Shot:
+    """Return the closest fight, or the first car that still races."""
+    if gaps:
+        (front, rear), gap = min(gaps.items(), key=lambda item: item[1])
+        if gap <= PACK:
+            return Shot(front, rear, time_s)
+    ghost = np.asarray(cars["ghost"]).astype(bool)
+    distance = np.where(ghost & ~ghost.all(), -np.inf, cars["distance"])
+    leader = int(distance.argmax())
+    return Shot(leader, leader, time_s)
+
+
+@dataclass(frozen=True)
+class ChasePath:
+    """Where a chase camera's frame stands in each frame of a replay, (num_frames,)."""
+
+    x: np.ndarray  # [m]
+    y: np.ndarray  # [m]
+    yaw: np.ndarray  # unwrapped within a take [rad]
+    take: np.ndarray  # number of the take: between two of them the picture cuts, int64
+    fights: tuple[str, ...]  # who attacks, which car and the gap; empty where there is no fight
+
+    def at(self, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return x, y and yaw between frames; no camera travels from one take to the next."""
+        low = np.clip(np.floor(frames).astype(np.int64), 0, len(self.x) - 1)
+        high = np.minimum(low + 1, len(self.x) - 1)
+        part = np.where(self.take[low] == self.take[high], frames - low, 0.0)
+        x, y, yaw = (
+            column[low] + (column[high] - column[low]) * part
+            for column in (self.x, self.y, self.yaw)
+        )
+        return x, y, yaw
+
+
+def chase_path(replay: Replay) -> ChasePath:
+    """Return where to chase from: behind the rear car of the fight that is shown."""
+    from scipy.ndimage import gaussian_filter1d  # late: SciPy takes a while
+
+    columns, director = replay.columns, Director()
+    subject = np.empty(replay.num_frames, np.int64)
+    take, fights = np.zeros(replay.num_frames, np.int64), []
+    for frame, (time_s, cars) in enumerate(moments(replay)):
+        before, shot = director.shot, director.add(time_s, cars)
+        if replay.spec.format == "pursuit":
+            # A gap of nothing may be half a lap of road: the winner is followed.
+            winner = replay.result.order[0].car
+            shot = Shot(winner, winner, 0.0)
+        subject[frame] = shot.rear
+        fights.append(shot.sentence(replay.names, cars))
+        cut = before is not None and before.since_s != shot.since_s > 0.0
+        # A short way is gone rather than cut: a jump by a car's length looks like a fault.
+        old = subject[max(frame - 1, 0)]
+        way = cars["x"][shot.rear] - cars["x"][old], cars["y"][shot.rear] - cars["y"][old]
+        cut = cut and np.hypot(*way) > PACK
+        take[frame] = take[max(frame - 1, 0)] + cut
+    rows, sigma = np.arange(replay.num_frames), SMOOTHING_S * replay.step_hz
+    x, y = columns.x[rows, subject], columns.y[rows, subject]
+    yaw = columns.yaw[rows, subject]
+    for number in range(int(take[-1]) + 1):
+        within = take == number
+        x[within] = gaussian_filter1d(x[within], sigma / 3, mode="nearest")
+        y[within] = gaussian_filter1d(y[within], sigma / 3, mode="nearest")
+        yaw[within] = gaussian_filter1d(np.unwrap(yaw[within]), sigma, mode="nearest")
+    return ChasePath(x, y, yaw, take, tuple(fights))
