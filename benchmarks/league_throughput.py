@@ -25,10 +25,10 @@ from league.agents import checkpoint
 from league.agents.checkpoint import Checkpoint
 from league.matchmaking import loop, submission
 from league.matchmaking import workers as executors
+from league.matchmaking.loop import Dispatcher, heat_driver
 from league.matchmaking.pairing import matchmaker
 from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset, mirrored
 from league.matchmaking.store import Store, create
-from league.matchmaking.workers.dispatcher import Dispatcher, heat_driver
 from league.matchmaking.workers.worker import HeatJob, RaceWorker
 from league.racing import race
 from league.sim.config import SolverName

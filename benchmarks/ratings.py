@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from benchmarks.report import figure, heading
-from league.matchmaking.ratings import RatingSettings, Results, fit
+from league.matchmaking.ratings import RatingData, RatingSettings, Results, fit
 from league.matchmaking.ratings.goodness_of_fit import goodness_of_fit
 from league.matchmaking.ratings.pair_counts import ELO
 
@@ -43,7 +43,7 @@ def speed() -> None:
         assert abs(inside.mean() - 0.95) < 0.08, "the intervals are not honest"
     results, _ = league_of(1000)
     fitted, start = fit(results), time.process_time()
-    goodness_of_fit(results, fitted)
+    goodness_of_fit(RatingData.of(results), fitted)
     figure("1,000 entries, test of fit, processor time", time.process_time() - start, "s")
 
 

@@ -17,9 +17,9 @@ CLOSING, LINKED, OWNER = "[/x]", "[link=e]:car:", "[/b]"
 def folder(tmp_path_factory) -> Path:
     """Return the folder of a league whose entries have such names, and of their checkpoints."""
     from league.matchmaking import loop
+    from league.matchmaking.loop import Dispatcher
     from league.matchmaking.pairing.matchmaker import Matchmaker
     from league.matchmaking.store import Store
-    from league.matchmaking.workers.dispatcher import Dispatcher
     from tests.agents.trained import make_checkpoint
     from tests.matchmaking.season_kit import Here, submitted
 
@@ -102,9 +102,9 @@ def test_a_file_whose_name_looks_like_markup_is_raced_and_evaluated_under_it(tol
 def test_the_page_of_a_run_shows_names_as_they_stand(folder, monkeypatch, capsys, tmp_path):
     from league.cli.season.run import LivePage
     from league.matchmaking import loop
+    from league.matchmaking.loop import Dispatcher
     from league.matchmaking.pairing.matchmaker import Matchmaker
     from league.matchmaking.store import Store
-    from league.matchmaking.workers.dispatcher import Dispatcher
     from tests.matchmaking.season_kit import Here
 
     monkeypatch.setenv("FORCE_COLOR", "1")

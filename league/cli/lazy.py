@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from league.deepracer import check, rescore, reward_file
     from league.envs import rewards
     from league.matchmaking import (
-        cups, divisions, documents, gauntlet, history, loop, remote, scores, seasons, standings,
-        store, submission, workers,
+        cups, divisions, documents, gauntlet, loop, remote, scores, seasons, standings, store,
+        submission, workers,
     )  # fmt: skip
     from league.matchmaking.pairing import heat_spec, matchmaker
     from league.matchmaking.ratings import sprt
-    from league.matchmaking.workers import dispatcher, worker
+    from league.matchmaking.workers import worker
     from league.racing import evaluate, race, trace
     from league.replay import broadcast, format
     from league.track import files, generate, importer, markings, track
@@ -36,11 +36,11 @@ _PACKAGES = {
     ".agents": "checkpoint export roster",
     ".deepracer": "check rescore reward_file",
     ".envs": "rewards",
-    ".matchmaking": "cups divisions documents gauntlet history loop remote scores seasons "
-    "standings store submission workers",
+    ".matchmaking": "cups divisions documents gauntlet loop remote scores seasons standings "
+    "store submission workers",
     ".matchmaking.pairing": "heat_spec matchmaker",
     ".matchmaking.ratings": "sprt",
-    ".matchmaking.workers": "dispatcher worker",
+    ".matchmaking.workers": "worker",
     ".racing": "evaluate race trace",
     ".replay": "broadcast format",
     ".track": "files generate importer markings track",

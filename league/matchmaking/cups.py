@@ -81,15 +81,10 @@ class Bracket:
 
 
 def start(store: Store, name: str = "", *, anchors: bool = False) -> Cup:
-    """Begin a cup of all rated entries and plan its qualifying.
+    """Begin a cup of all rated entries and plan its qualifying; an empty name is its number.
 
-    Args:
-        store: the league.
-        name: shown to people; by default its number.
-        anchors: whether the league's own drivers take part, too.
-
-    Raises:
-        StoreError: there are too few or too many entries, or the name is taken.
+    With `anchors` the league's own drivers take part, too. Too few or too many entries, or a name
+    that is taken, are a StoreError.
     """
     entrants = [one.id for one in store.entries(RATED) if anchors or not one.anchor]
     if not LEAST <= len(entrants) <= MOST:
@@ -108,11 +103,7 @@ def start(store: Store, name: str = "", *, anchors: bool = False) -> Cup:
 
 
 def named(store: Store, text: str) -> Cup:
-    """Return the cup with this name or number; the last one for an empty text.
-
-    Raises:
-        StoreError: there is none.
-    """
+    """Return the cup with this name or number (the last one for an empty text), or a StoreError."""
     known = store.cups()
     if not known:
         raise StoreError("this league has no cup yet: begin one with `league cup start`")
@@ -124,11 +115,7 @@ def named(store: Store, text: str) -> Cup:
 
 
 def advance(store: Store) -> int:
-    """Plan the heats that are due in all running cups, and freeze those that are over.
-
-    Returns:
-        How many heats are new.
-    """
+    """Plan what is due in all running cups, freeze those that are over; return how many are new."""
     planned = 0
     for cup in store.cups():
         if cup.ended_s is not None:

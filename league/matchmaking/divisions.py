@@ -58,16 +58,11 @@ def next_moves(
     round: int,
     heat: int,
 ) -> list[Move]:
-    """Return the moves that a round begins with.
+    """Return the moves that a round (its number) begins with.
 
-    Args:
-        current: division of each entry so far, by its number.
-        fitted: the ratings.
-        members: numbers of the entries that have divisions: those in a rated state, no anchors.
-        safety: safety ratings by number.
-        settings: of the season.
-        round: number of the round.
-        heat: the newest heat that counted.
+    They follow from the divisions so far (`current`), ratings and safety, by entries' numbers. Only
+    `members` have divisions: entries in a rated state, no anchors. `heat` is the newest one
+    that counted.
     """
     order = [int(n) for n in fitted.entries[fitted.order()] if int(n) in members]
     table = _Table(settings, fitted, safety, order)

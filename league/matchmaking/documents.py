@@ -11,6 +11,9 @@ from league.matchmaking.scores import pole
 from league.matchmaking.standings import Standings
 from league.matchmaking.store import HeatRecord, LeagueEntry
 
+FIT_FIELDS = ("chi_square", "freedom", "p_value", "rejected")
+"""Numbers of the test of fit."""
+
 
 def plain(value: object) -> Any:  # noqa: ANN401
     """Return frozen data as JSON knows it; infinities and NaN become null."""
@@ -24,19 +27,13 @@ def names_of(entries: Sequence[LeagueEntry]) -> dict[str, str]:
 
 def standings_document(rated: Standings, top: int | None = None) -> dict[str, object]:
     """Return the standings, how well they explain the results, and all entries or the `top`."""
-    goodness = rated.goodness
     return {
         "ruleset": rated.ruleset,
         "races": rated.num_races,
         "prior_sd": rated.ratings.prior_sd,
         "slot_advantages": rated.ratings.slot_advantages.tolist(),
         "pole": plain(pole(rated)),
-        "fit": {
-            "chi_square": goodness.chi_square,
-            "freedom": goodness.freedom,
-            "p_value": goodness.p_value,
-            "rejected": goodness.rejected,
-        },
+        "fit": {name: getattr(rated.goodness, name) for name in FIT_FIELDS},
         "entries": plain(rated.rows[:top]),
     }
 

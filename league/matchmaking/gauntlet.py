@@ -12,6 +12,7 @@ import numpy as np
 from league.agents.checkpoint import Checkpoint
 from league.errors import ConfigError, StoreError
 from league.matchmaking import ratings, standings, submission
+from league.matchmaking.loop import heat_driver
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.ratings import Ratings, Results, sprt
@@ -20,7 +21,6 @@ from league.matchmaking.ratings.table import SIGMAS_95
 from league.matchmaking.scope import RatingScope, scope
 from league.matchmaking.store import RATED, HeatOutcome, HeatRecord, LeagueEntry, Store
 from league.matchmaking.workers import Executor
-from league.matchmaking.workers.dispatcher import heat_driver
 from league.matchmaking.workers.worker import HeatDriver, HeatJob, check_physics
 
 TRIES = 3

@@ -1,17 +1,166 @@
-"""The season's loop: plan heats, race them, until a limit is reached or a stop is requested."""
+"""The season's loop: heats are planned, lent from the store to an executor's workers, handed in."""
 
 from __future__ import annotations
 
+import logging
+import os
+import secrets
+import socket
 import time
+import traceback
+from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
 
-from league.matchmaking.pairing.matchmaker import Matchmaker
-from league.matchmaking.store import Store
-from league.matchmaking.workers.dispatcher import Dispatcher, FinishedHeat
+from league.errors import LeagueError
+from league.matchmaking.pairing.heat_spec import Ruleset
+from league.matchmaking.store import HeatRecord, LeagueEntry
+from league.matchmaking.store.queue import LEASE_S
+from league.matchmaking.workers import Executor
+from league.matchmaking.workers.worker import HeatDriver, HeatJob, HeatReport, check_physics
+
+if TYPE_CHECKING:
+    from league.matchmaking.pairing.matchmaker import Matchmaker
+    from league.matchmaking.remote import RemoteQueue
+    from league.matchmaking.store import Store
+
+    HeatSource = Store | RemoteQueue
+    """Where a dispatcher gets heats from."""
 
 PLAN_EVERY_S = 5.0
 """Interval at which new submissions are looked for while no heat ends [s]."""
+KEPT = 256
+"""Drivers kept in memory for the next job."""
+MOST_LOSSES = 10
+"""Workers killed while they race a heat before that counts as a failed try: the kernel also kills
+processes that take too much memory."""
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class RunningHeat:
+    """A heat that a worker races."""
+
+    claim: HeatRecord
+    names: tuple[str, ...]
+    """Names of the entries, in the grid order of the first race."""
+    since_s: float
+    """When it began, on time.monotonic's clock [s]."""
+
+
+@dataclass(frozen=True)
+class FinishedHeat:
+    """A heat that a worker has reported on."""
+
+    running: RunningHeat
+    report: HeatReport
+    became: str
+    """A field of Received; or planned (again), error."""
+
+
+class Dispatcher:
+    """Claims heats for one machine's workers and hands in their results.
+
+    It is the only writer of its machine: a SQLite file has one writer, and PostgreSQL one for each
+    machine.
+    """
+
+    def __init__(
+        self,
+        store: HeatSource,
+        executor: Executor,
+        *,
+        lease_s: float = LEASE_S,
+        keep_replays: bool = True,
+    ) -> None:
+        """Take workers into service; a lease of `lease_s` [s] is renewed six times as often."""
+        self._store, self._executor = store, executor
+        self.name = f"{socket.gethostname()[:60]}-{os.getpid()}-{secrets.token_hex(3)}"
+        """Unique among dispatchers."""
+        self._lease_s, self._keep_replays = lease_s, keep_replays
+        self._renewed_s = time.monotonic()
+        self._rulesets: dict[str, Ruleset] = {}
+        self._driver = lru_cache(KEPT)(lambda id: heat_driver(store, store.entry(id)))
+        self._losses: Counter[str] = Counter()
+        self.running: dict[str, RunningHeat] = {}
+
+    def step(self, timeout_s: float = 0.5, *, claim: int | None = None) -> list[FinishedHeat]:
+        """Lend up to `claim` heats to idle workers, wait `timeout_s` [s], hand in what ended."""
+        wanted = self._executor.free if claim is None else min(claim, self._executor.free)
+        finished = self._begin(wanted) if wanted > 0 else []
+        now_s = time.monotonic()
+        if self.running and now_s - self._renewed_s > self._lease_s / 6:
+            self._store.heartbeat(self.name, lease_s=self._lease_s, keys=list(self.running))
+            self._renewed_s = now_s
+        return finished + self._hand_in(self._executor.wait(timeout_s))
+
+    def _begin(self, wanted: int) -> list[FinishedHeat]:
+        finished = []
+        for claim in self._store.claim(self.name, wanted, lease_s=self._lease_s):
+            if claim.heat.key in self.running:
+                # Its lease ended while this machine was suspended, and a worker still races it.
+                self.running[claim.heat.key] = replace(self.running[claim.heat.key], claim=claim)
+                continue
+            try:
+                job = self._job(claim)
+            except LeagueError:
+                # Its files are gone or damaged: one heat that cannot be raced, not the season.
+                report = HeatReport(claim.heat.key, None, traceback.format_exc())
+                running = RunningHeat(claim, (), time.monotonic())
+                finished.append(self._failed(running, report))
+                continue
+            names = tuple(job.drivers[id].name for id in claim.heat.halves[0].grid)
+            self._executor.offer(job)
+            self.running[claim.heat.key] = RunningHeat(claim, names, time.monotonic())
+        return finished
+
+    def _job(self, claim: HeatRecord) -> HeatJob:
+        heat = claim.heat
+        if heat.ruleset not in self._rulesets:
+            self._rulesets = self._store.rulesets()
+        ruleset = self._rulesets[heat.ruleset]
+        check_physics(ruleset, f"heat {claim.number}")
+        return HeatJob(
+            key=heat.key,
+            number=claim.number,
+            halves=heat.halves,
+            seeds=claim.seeds or (),
+            ruleset=ruleset,
+            drivers={id: self._driver(id) for id in heat.entries},
+            keep_replays=self._keep_replays,
+        )
+
+    def _hand_in(self, reports: list[HeatReport]) -> list[FinishedHeat]:
+        for report in reports:
+            if report.key not in self.running:
+                _LOG.warning("discarded a late report on heat %s: no worker races it", report.key)
+        reports = [report for report in reports if report.key in self.running]
+        outcomes = [report.outcome for report in reports if report.outcome is not None]
+        received = self._store.complete(self.name, outcomes) if outcomes else None
+        finished = []
+        for report in reports:
+            running = self.running.pop(report.key)
+            if report.outcome is None or received is None:
+                finished.append(self._failed(running, report))
+            else:
+                finished.append(FinishedHeat(running, report, received.verdict(report.key)))
+        return finished
+
+    def _failed(self, running: RunningHeat, report: HeatReport) -> FinishedHeat:
+        self._losses[report.key] += report.lost
+        lost = report.lost and self._losses[report.key] <= MOST_LOSSES
+        state = self._store.fail(self.name, report.key, report.traceback, lost=lost)
+        return FinishedHeat(running, report, state)
+
+
+def heat_driver(store: HeatSource, entry: LeagueEntry) -> HeatDriver:
+    """Return an entry as a worker needs it."""
+    if entry.kind == "scripted":
+        return HeatDriver(entry.id, entry.name, scripted=str(entry.card["driver"]))
+    return HeatDriver(entry.id, entry.name, weights=store.blobs.get(entry.blob))
 
 
 @dataclass
@@ -64,14 +213,9 @@ def run(
 ) -> Tally:
     """Plan and race until a limit is reached; heats under way are finished first.
 
-    Args:
-        store: the league; not needed without a matchmaker.
-        dispatcher: claims and races heats.
-        matchmaker: without one the heats in the queue are raced.
-        heats: end after so many, those that were given up included.
-        seconds: begin no heat after this time [s].
-        stop: called at each step; once it returns True no heat is begun.
-        watch: called after each step.
+    Without a matchmaker, which needs the store, the heats in the queue are raced. It ends after so
+    many `heats`, those that were given up included. No heat is begun after so many `seconds`, nor
+    once `stop`, which each step calls, returns True.
     """
     tally, began_s, planned_s, due = Tally(), time.monotonic(), 0.0, True
     while True:

@@ -44,14 +44,10 @@ class Safety:
 
 
 def of(store: Store, ruleset: str | None = None, *, before: int | None = None) -> dict[int, Safety]:
-    """Return the safety rating of each entry that raced under a ruleset, by its number.
+    """Return the safety rating of each entry that raced, by its number.
 
-    Seasons make no difference: driving is as safe as it was in the last races.
-
-    Args:
-        store: the league.
-        ruleset: hash; by default the present one.
-        before: only heats with a smaller number count.
+    By default under the present ruleset (its hash). Seasons make no difference: driving is as safe
+    as it was in the last races. If given, only heats numbered below `before` count.
     """
     ruleset = ruleset or store.settings.ruleset.hash
     drives = store.drives(ruleset)
@@ -71,13 +67,7 @@ class Record:
 
 
 def rated(drives: Drives, tracks: Sequence[str], earlier: Record | None = None) -> Record:
-    """Return the safety ratings that follow from some drives.
-
-    Args:
-        drives: of races under one ruleset.
-        tracks: its tracks.
-        earlier: what followed from the races before these, if they are not all.
-    """
+    """Return the safety ratings by drives under one ruleset, and by what came before them."""
     later = drives.where((drives.track < len(tracks)) & (drives.distance_cm > 0))
     if earlier is None:
         return _rated(later, tracks)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -58,15 +59,16 @@ def _carried(store: Store, season: Season | None) -> Carried | None:
     document = store.frozen(season) if season else None
     if document is None:
         return None
-    frozen = document["standings"]
-    rows = sorted(frozen["entries"], key=lambda row: row["number"])
-    sd = np.array([row["sd"] for row in rows])
-    return Carried(
-        entries=np.array([row["number"] for row in rows]),
-        elo=np.array([row["elo"] for row in rows]),
-        sd=np.minimum(np.hypot(sd, SEASON_SD), np.maximum(sd, frozen["prior_sd"])),
-        prior_sd=frozen["prior_sd"],
-    )
+    prior_sd = document["standings"]["prior_sd"]
+    entries, elo, sd = frozen_columns(document, "number", "elo", "sd")
+    sd = np.minimum(np.hypot(sd, SEASON_SD), np.maximum(sd, prior_sd))
+    return Carried(entries, elo, sd, prior_sd)
+
+
+def frozen_columns(document: Mapping[str, Any], *names: str) -> list[np.ndarray]:
+    """Return what a season's frozen standings say of its entries, by their numbers."""
+    rows = sorted(document["standings"]["entries"], key=lambda row: row["number"])
+    return [np.array([row[name] for row in rows]) for name in names]
 
 
 @dataclass(frozen=True)

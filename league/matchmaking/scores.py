@@ -1,4 +1,4 @@
-"""What single races tell: points against those promised, clean laps, the front slot."""
+"""What races tell beyond the table: points against those promised, laps, the way to a rating."""
 
 from __future__ import annotations
 
@@ -8,12 +8,18 @@ from typing import Any
 
 import numpy as np
 
+from league.errors import StoreError, brief
 from league.matchmaking import standings
-from league.matchmaking.ratings.pair_counts import changes
-from league.matchmaking.ratings.table import SIGMAS_95, Strengths
+from league.matchmaking.ratings import Carried, RatingData, refit
+from league.matchmaking.ratings.pair_counts import ELO, changes
+from league.matchmaking.ratings.table import SIGMAS_95, Strengths, expected_score
+from league.matchmaking.scope import frozen_columns, scope
 from league.matchmaking.standings import OwnRaces, Standings
-from league.matchmaking.store import BEST_MS, CLEAN, Races, Season, Store
+from league.matchmaking.store import BEST_MS, CLEAN, LeagueEntry, Races, Season, Store
 from league.sim.config import RaceKind
+
+TREND_HEATS = 50
+"""So many of a season's newest heats, at most half of them, make the trend of a rating."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +40,7 @@ class RaceScore:
 def race_scores(
     rated: Standings | PastSeason, number: int, other: int | None = None
 ) -> list[RaceScore]:
-    """Return an entry's rated races, by heat and race.
-
-    Args:
-        rated: the standings, or as much of them.
-        number: of the entry.
-        other: number of the only opponent that counts; by default all count.
-    """
+    """Return an entry's rated races, by heat and race; if given, only one other entry counts."""
     own = standings.own_races(rated.races, rated.ratings, number)
     races, counts = own.races, own.met
     if other is not None:
@@ -80,13 +80,8 @@ class PastSeason:
 
 def final_ratings(document: Mapping[str, Any]) -> Strengths:
     """Return the ratings that a season was frozen with, from its document."""
-    table = document["standings"]
-    rows = sorted(table["entries"], key=lambda row: row["number"])
-    return Strengths(
-        entries=np.array([row["number"] for row in rows]),
-        elo=np.array([row["elo"] for row in rows]),
-        slot_advantages=np.array(table["slot_advantages"]),
-    )
+    entries, elo = frozen_columns(document, "number", "elo")
+    return Strengths(entries, elo, np.array(document["standings"]["slot_advantages"]))
 
 
 def scores_by_season(
@@ -98,14 +93,8 @@ def scores_by_season(
 ) -> dict[int | None, list[RaceScore]]:
     """Return the races of two entries, points of the one, by number of the season, the first first.
 
-    None is for races in no season.
-
-    Args:
-        raced: races under each of some rules, with the tracks of these.
-        seasons: all of the league.
-        ratings: returns those that tell what was expected in a season, or in none.
-        one: number of an entry.
-        other: number of the other one.
+    None is for races in no season. `raced` are races under each of some rules, with the tracks of
+    these; `ratings` returns those that tell what was expected in a season, or in none.
     """
     found: dict[int | None, list[RaceScore]] = {}
     for races, tracks in raced:
@@ -133,14 +122,10 @@ class BestLap:
 
 
 def clean_laps(races: Races, tracks: Sequence[str]) -> dict[str, list[BestLap]]:
-    """Return the fastest clean lap of each entry on each track, the fastest first.
+    """Return the fastest clean lap of each entry on each of a ruleset's tracks, the fastest first.
 
     A lap is clean in a race without a fault: no leaving of the track, no contact to blame for, no
     standing still, no driving backwards. Among equal laps the earlier one counts.
-
-    Args:
-        races: of one ruleset.
-        tracks: its tracks.
     """
     row, slot = np.nonzero(races.runs & CLEAN)
     entry, track = races.entries[row, slot], races.track[row]
@@ -180,7 +165,10 @@ def joined_laps(
         # Among equal laps the earlier heat counts, which may have come in later.
         faster = [lap for lap in laps if lap.lap_s <= best_s.get(lap.number, np.inf)]
         if faster:
-            found[track] = _best_of(known + faster)
+            best: dict[int, BestLap] = {}
+            for lap in sorted(known + faster, key=lambda lap: (lap.lap_s, lap.heat, lap.race)):
+                best.setdefault(lap.number, lap)
+            found[track] = list(best.values())
     return found
 
 
@@ -219,15 +207,6 @@ def time_attack(
     return Boards(found, last)
 
 
-def _best_of(laps: list[BestLap]) -> list[BestLap]:
-    """Return the best one of each entry's laps, the fastest first."""
-    ordered = sorted(laps, key=lambda lap: (lap.lap_s, lap.heat, lap.race))
-    best: dict[int, BestLap] = {}
-    for lap in ordered:
-        best.setdefault(lap.number, lap)
-    return list(best.values())
-
-
 @dataclass(frozen=True)
 class Pole:
     """How much of the results the first slot of the grid decides."""
@@ -250,25 +229,24 @@ class Pole:
     """Upper end of it [Elo]."""
 
 
-def pole(standings: Standings) -> Pole | None:
+def pole(rated: Standings) -> Pole | None:
     """Return what the first slot of the grid decides; None without a race of two cars."""
-    results = standings.results.distinct()
+    results = standings.results_of(rated.races).by_heat()
     present = results.entries >= 0
     cars = present.sum(axis=1)
     results, present, cars = results.rows(cars > 1), present[cars > 1], cars[cars > 1]
     races = len(results)
     if not races:
         return None
-    first = (results.places == results.places.min(axis=1, where=present, initial=255)[:, None]) & (
-        present
-    )
+    best = results.places.min(axis=1, where=present, initial=255)
+    first = (results.places == best[:, None]) & present
     won = float((first[:, 0] / first.sum(axis=1)).mean())
     # Wilson's interval stays within 0 and 1, also where every race was won from one slot.
     squared = SIGMAS_95**2 / races
     middle = (won + squared / 2) / (1 + squared)
     half = np.sqrt(squared * (won * (1 - won) + squared / 4)) / (1 + squared)
-    fitted = standings.ratings
-    elo, reach = float(fitted.slot_advantages[0]), SIGMAS_95 * float(fitted.slot_sd[0])
+    slot = rated.ratings.slot_advantages[0], rated.ratings.slot_sd[0]
+    elo, reach = float(slot[0]), SIGMAS_95 * float(slot[1])
     return Pole(
         races=races,
         won=won,
@@ -279,3 +257,125 @@ def pole(standings: Standings) -> Pole | None:
         elo_low95=elo - reach,
         elo_high95=elo + reach,
     )
+
+
+@dataclass(frozen=True)
+class HistoryPoint:
+    """An entry's rating at some time."""
+
+    heat: int
+    """Number of the last heat counted."""
+    races: int
+    """Races of the entry up to then, those of earlier seasons under the same rules included."""
+    elo: float
+    """Strength [Elo]."""
+    low95: float
+    """Lower end of the 95 % interval [Elo]."""
+    high95: float
+    """Upper end of the 95 % interval [Elo]."""
+    season: int = 0
+    """Number of the season; 0 in a league without seasons."""
+
+
+def history(store: Store, entry: LeagueEntry, *, points: int = 20) -> list[HistoryPoint]:
+    """Return an entry's rating as it was after evenly many of its heats, and last as it is now.
+
+    Each is fitted to the races of its season up to then, so later corrections of results count.
+    Seasons under other rules than the present ones are left out: their ratings are no comparison.
+    """
+    ruleset = store.settings.ruleset.hash
+    races, entries = store.races(ruleset), store.entries()
+    mine = np.unique(races.heat[(races.entries == entry.number).any(axis=1)])
+    if not len(mine):
+        raise StoreError(
+            f"{brief(entry.name)} has not raced for its rating yet: let the league run first"
+        )
+    picked = np.unique(np.linspace(0, len(mine) - 1, min(points, len(mine))).round().astype(int))
+    seasons = [one for one in store.seasons() if one.ruleset == ruleset] or [None]
+    moments: list[HistoryPoint] = []
+    raced = 0
+    for season in seasons:
+        within = scope(store, ruleset, season, races)
+        # Others may have raced since its last heat, and their races move its rating too.
+        heats = {*mine[picked[:-1]].tolist(), int(within.races.heat.max(initial=0))}
+        own = np.array(sorted(heats - {0}), dtype=np.int64)
+        for heat in own[season.has(own)] if season else own:
+            before = standings.results_of(within.races, before=heat + 1)
+            found = standings.rated(before, entries, carried=within.carried)
+            if found is None or entry.number not in found[1].entries:
+                continue
+            fitted = found[1]
+            at = fitted.index(entry.number)
+            moments.append(
+                HistoryPoint(
+                    heat=int(heat),
+                    races=raced + int(fitted.races[at]),
+                    **fitted.line(at, "elo", "low95", "high95"),
+                    season=season.number if season else 0,
+                )
+            )
+        raced = moments[-1].races if moments else 0
+    return moments
+
+
+def trends(rated: Standings, carried: Carried | None) -> dict[int, float]:
+    """Return by how much the season's newest heats changed each rating [Elo], by entry number.
+
+    `carried` is what was known before the season.
+    """
+    heats = np.sort(rated.races.heat)  # np.unique takes ten times as long
+    heats = heats[changes(heats)]
+    newest = heats[len(heats) - min(TREND_HEATS, len(heats) // 2) :]
+    if not len(newest):
+        return {}
+    earlier = standings.results_of(rated.races, before=int(newest[0]))
+    data = RatingData.of(earlier, rated.ratings.entries)
+    changed = rated.ratings.elo - refit(data, rated.ratings, carried)
+    raced = data.races > 0
+    return dict(zip(data.entries[raced].tolist(), changed[raced].tolist(), strict=True))
+
+
+def own_history(rated: Standings, own: OwnRaces, *, points: int = 20) -> list[HistoryPoint]:
+    """Return an entry's rating over its heats, all others rated as they are now.
+
+    It takes milliseconds in a league of any size; `history` fits all ratings for each point.
+    """
+    ratings = rated.ratings
+    needed = own.strengths - ratings.slot_advantages[own.slot]  # a rating at which the two are even
+    middle, spread = float(ratings.elo.mean()), ratings.prior_sd
+    heats = own.races.heat
+    picked = np.unique(np.linspace(1, len(heats), min(points, len(heats))).round().astype(int))
+    counted = np.arange(len(heats)) < picked[:, None]  # (moments, races)
+    met = counted[:, :, None] & own.met
+    elos, sds = _own_ratings(own.points, needed, met, middle, spread)
+    moments = [
+        HistoryPoint(int(heats[count - 1]), count, elo, elo - SIGMAS_95 * sd, elo + SIGMAS_95 * sd)
+        for count, elo, sd in zip(picked.tolist(), elos.tolist(), sds.tolist(), strict=True)
+    ]
+    now = ratings.line(ratings.index(own.number), "elo", "low95", "high95")
+    return [*moments[:-1], HistoryPoint(int(rated.races.heat.max()), len(heats), **now)]
+
+
+def _own_ratings(
+    points: np.ndarray, needed: np.ndarray, met: np.ndarray, middle: float, spread: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the likeliest ratings, and their standard deviations, given those of all opponents.
+
+    Against each car there are the points made and the rating `needed` to be even with it, (races,
+    cars); `met` tells whether it counts at a moment, (moments, races, cars).
+    """
+    at, moments = met.any(axis=0), len(met)
+    counts, points, needed = met[:, at].astype(float), points[at], needed[at]  # (moments, cars met)
+    elo, information = np.full(moments, middle), np.ones(moments)
+    moving = np.ones(moments, bool)
+    for _ in range(50):
+        chance = np.asarray(expected_score(elo[:, None] - needed))
+        gradient = (counts * (points - chance)).sum(axis=1) / ELO - (elo - middle) / spread**2
+        curved = (counts * (chance * (1 - chance))).sum(axis=1) / ELO**2 + 1 / spread**2
+        information = np.where(moving, curved, information)
+        step = np.where(moving, np.clip(gradient / curved, -200.0, 200.0), 0.0)
+        elo = elo + step
+        moving &= np.abs(step) >= 0.01
+        if not moving.any():
+            break
+    return elo, information**-0.5

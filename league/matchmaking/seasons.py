@@ -16,11 +16,7 @@ from league.matchmaking.store import Season, Store
 
 
 def start(store: Store, name: str = "", settings: SeasonSettings | None = None) -> Season:
-    """Begin a season; the first one has all races so far.
-
-    Raises:
-        StoreError: one is running, or has this name.
-    """
+    """Begin a season, the first one with all races so far; see Store.start_season."""
     return store.start_season(name, asdict(settings or SeasonSettings()))
 
 
@@ -28,10 +24,8 @@ def end(store: Store) -> Season:
     """End the season: cancel its waiting heats, and freeze its standings and trophies.
 
     After a kill at any moment, called again, it goes on. A league that never began a season ends
-    its first one.
-
-    Raises:
-        StoreError: heats are still being raced, no entry is rated, or the season is over already.
+    its first one. While heats are still being raced, without a rated entry, or if the season is
+    over already, that is a StoreError.
     """
     known = store.seasons()
     if known and known[-1].ended_s is not None:

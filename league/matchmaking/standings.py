@@ -15,14 +15,7 @@ from league.matchmaking.ratings import updated as updated_ratings
 from league.matchmaking.ratings.goodness_of_fit import Goodness, goodness_of_fit
 from league.matchmaking.ratings.table import Strengths
 from league.matchmaking.scope import RatingScope, Runs, scope
-from league.matchmaking.store import (
-    RATED,
-    EntryState,
-    LeagueEntry,
-    Races,
-    Season,
-    Store,
-)
+from league.matchmaking.store import RATED, EntryState, LeagueEntry, Races, Season, Store
 
 ENTRY_FIELDS = ("id", "name", "owner", "anchor", "state")
 """What a line takes from its entry."""
@@ -101,31 +94,17 @@ class Standings:
     """The season that the races belong to; None in a league without seasons."""
 
     @cached_property
-    def results(self) -> Results:
-        """The races as the fit reads them."""
-        return results_of(self.races)
-
-    @cached_property
     def by_number(self) -> dict[int, Row]:
         """The lines by the entries' numbers, best first."""
         return {row.number: row for row in self.rows}
-
-    @cached_property
-    def newest_heat(self) -> int:
-        """Largest number of a heat; 0 before the first."""
-        return int(self.races.heat.max(initial=0))
 
     def own_races(self, number: int) -> OwnRaces:
         """Return the races of an entry."""
         return own_races(self.races, self.ratings, number)
 
     def row(self, number: int, name: str = "") -> Row:
-        """Return an entry's line by its number; its name is for the error only.
-
-        Raises:
-            StoreError: it is not rated.
-        """
-        row = next((row for row in self.rows if row.number == number), None)
+        """Return an entry's line by its number, else a StoreError with its name."""
+        row = self.by_number.get(number)
         if row is None:
             what = brief(name) if name else f"entry {number}"
             raise StoreError(
@@ -152,17 +131,11 @@ def rated(
     carried: Carried | None = None,
     near: Ratings | None = None,
 ) -> tuple[RatingData, Ratings] | None:
-    """Return a league's counted results and their fit, pinned to its first anchor.
+    """Return a league's counted results and their fit, pinned to the first anchor.
 
-    Args:
-        results: the races.
-        entries: all entries of the league.
-        also: numbers of entries to rate besides those in a rated state and those that raced.
-        carried: what is known from an earlier season.
-        near: ratings by nearly the same races.
-
-    Returns:
-        None without an entry to rate.
+    Rated are entries in a rated state, those that raced, and those with the numbers `also`.
+    `carried` is what is known from an earlier season, `near` are ratings by nearly the same races.
+    None without an entry to rate.
     """
     numbers = {entry.number for entry in entries if entry.state in RATED} | set(also)
     data = RatingData.of(results, sorted(numbers))
@@ -179,15 +152,9 @@ def anchor_of(numbers: np.ndarray, entries: Sequence[LeagueEntry]) -> int | None
 
 
 def of(store: Store, ruleset: str | None = None, season: Season | None = None) -> Standings:
-    """Return the standings of a league as they are now.
+    """Return the standings of a league as they are now; a StoreError if no entry is rated yet.
 
-    Args:
-        store: the league.
-        ruleset: hash; by default the present one.
-        season: by default the last one under this ruleset.
-
-    Raises:
-        StoreError: no entry is rated yet.
+    By default those under the present ruleset (its hash), and of the last season under it.
     """
     ruleset = ruleset or store.settings.ruleset.hash
     known = store.rulesets().get(ruleset)
@@ -212,12 +179,8 @@ def table(
 ) -> Standings | None:
     """Return the standings that follow from some races; None if no entry is rated.
 
-    Args:
-        entries: all of the league.
-        within: the races, all of one ruleset, and what was known before them.
-        ruleset: its hash.
-        tracks: its tracks.
-        near: ratings by nearly the same races, which make this quick.
+    The races are all of one ruleset, given by its hash and tracks. Ratings by nearly the same
+    races (`near`) make this quick.
     """
     found = rated(results_of(within.races), entries, (), within.carried, near)
     if found is None:

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from league.matchmaking.history import HistoryPoint
-from league.matchmaking.scores import RaceScore
+from league.matchmaking.scores import HistoryPoint, RaceScore
 from league.matchmaking.standings import Row
 from league.replay import Replay
 from league.track.track import Track

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from league.matchmaking import divisions, history, safety, standings
+from league.matchmaking import divisions, safety, scores, standings
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.scope import RatingScope, scope
 from league.matchmaking.scores import BestLap, clean_laps, joined_laps
@@ -62,8 +62,7 @@ class Snapshot:
             getattr(self, name)
         _ = self.counted.index
         if self.rated:
-            none = np.empty(0, int)
-            self.rated.ratings.gap_variances(none, none)  # what all differences need
+            self.rated.ratings.gap_variance(0, 0)  # the first one prepares all
 
     @cached_property
     def by_number(self) -> dict[int, LeagueEntry]:
@@ -205,6 +204,8 @@ def take(store: Store, before: Snapshot | None = None) -> Snapshot:
     if before is not None and before.settings != settings:
         before = None
     before = before and (before.settled or before)
+    if before is not None and "quarantine" in store.happened(before.revision):
+        before = None  # races were taken back, and perhaps given again
     entries = tuple(store.entries_again(before.entries if before else ()))
     races = _races(store, before)
     rules = settings.ruleset
@@ -221,7 +222,7 @@ def take(store: Store, before: Snapshot | None = None) -> Snapshot:
             rules.tracks,
             near=before.rated.ratings if before and before.rated else None,
         )
-        trends = history.trends(rated, within.carried) if rated else {}
+        trends = scores.trends(rated, within.carried) if rated else {}
         if rated and isinstance(store, SeasonView):
             rated = replace(rated, rows=_frozen(rated.rows, store.rows))
     seasons = tuple(store.seasons())

@@ -9,10 +9,10 @@ import pytest
 from playwright.sync_api import expect
 
 from league.matchmaking import loop
+from league.matchmaking.loop import Dispatcher
 from league.matchmaking.pairing.heat_spec import mirrored
 from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import Store
-from league.matchmaking.workers.dispatcher import Dispatcher
 from tests.browser.looking import (
     NEEDS_CHROMIUM,
     PATHS,

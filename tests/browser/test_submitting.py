@@ -12,9 +12,9 @@ from playwright.sync_api import Browser, Page, expect
 from league.agents import checkpoint
 from league.cli import main
 from league.matchmaking import loop, submission
+from league.matchmaking.loop import Dispatcher
 from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import Store
-from league.matchmaking.workers.dispatcher import Dispatcher
 from tests.agents.trained import make_checkpoint
 from tests.browser.looking import NEEDS_CHROMIUM, opened
 from tests.matchmaking.season_kit import Here, new_league

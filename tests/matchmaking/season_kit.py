@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from unittest.mock import patch
 
 from league.matchmaking import loop, submission
+from league.matchmaking.loop import Dispatcher
 from league.matchmaking.pairing import matchmaker
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import Store, create
-from league.matchmaking.workers.dispatcher import Dispatcher
 from league.matchmaking.workers.worker import HeatJob, HeatReport, RaceWorker
 from tests.agents.trained import make_checkpoint
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 
 from league.matchmaking import loop, standings
+from league.matchmaking.loop import Dispatcher, heat_driver
 from league.matchmaking.pairing.heat_spec import Half, Ruleset
 from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import HeatOutcome, HeatRecord, RaceOutcome, Store
-from league.matchmaking.workers.dispatcher import Dispatcher, heat_driver
 from league.matchmaking.workers.worker import HeatJob, HeatReport, RaceWorker
 from league.replay import format as replay_format
 from tests.matchmaking.season_kit import SHORT, Here, new_league, submitted
@@ -81,6 +81,23 @@ def test_in_a_reverse_grid_the_best_rated_starts_last_in_both_races(tmp_path):
             one, other = record.heat.halves
             assert one.grid == other.grid and len(one.grid) == 3
             assert list(one.grid) == sorted(one.grid, key=lambda id: elo[id])
+
+
+def test_both_races_of_a_reverse_grid_are_rated_however_they_end(tmp_path):
+    class Even(Known):
+        def outcome(self, half: Half, seed: int) -> RaceOutcome:
+            known = super().outcome(half, seed)
+            places = (1, 2) if seed % 2 and len(set(half.grid)) == 2 else known.places
+            return RaceOutcome(places, known.result)
+
+    with new_league(
+        f"sqlite:///{tmp_path / 'league.db'}", rules=replace(SHORT, format="reverse")
+    ) as store:
+        for number in range(3):
+            submitted(store, f"e{number}", seed=number, senses="blind")
+        loop.run(store, Dispatcher(store, Even(store)), Matchmaker(store), heats=30)
+        table = standings.of(store)
+        assert table.num_races == 2 * len(rated(store, "done"))
 
 
 def test_qualifying_puts_the_best_lap_on_the_track_first_and_who_has_none_last(tmp_path):

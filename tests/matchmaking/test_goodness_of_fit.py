@@ -43,7 +43,7 @@ def rejections(cycle, races, *, trials=40, track_sd=0.0):
     for _ in range(trials):
         leads = leads_of(generator.normal(0, 200, 10), cycle)
         results = round_robin(generator, leads, races, track_sd)
-        found.append(goodness_of_fit(results, fit(results), level=0.05).rejected)
+        found.append(goodness_of_fit(RatingData.of(results), fit(results), level=0.05).rejected)
     return np.mean(found)
 
 
@@ -65,35 +65,31 @@ def test_races_of_many_cars_are_not_taken_for_cycles(cars):
     for _ in range(20):
         strengths = generator.normal(0, 200, 12)
         results = raced(generator, strengths, random_grids(generator, 12, cars, 300), noise="gauss")
-        found.append(goodness_of_fit(results, fit(results), level=0.05).rejected)
+        found.append(goodness_of_fit(RatingData.of(results), fit(results), level=0.05).rejected)
     assert np.mean(found) <= 0.15
 
 
-def test_records_of_pairs_add_up_and_name_the_surprise():
+def test_sum_of_squares_is_that_of_the_records_of_pairs():
     generator = np.random.default_rng(6)
     results = round_robin(generator, leads_of(np.zeros(6), 0.85), 60)
     names = np.array([3, 8, 11, 20, 21, 40])
     results = Results(results.heats, names[results.entries], results.places)
-    goodness = goodness_of_fit(results, fit(results))
-    pairs = goodness.pairs
+    ratings, won = fit(results), np.zeros((6, 6))
+    goodness = goodness_of_fit(RatingData.of(results), ratings)
     assert goodness.rejected and goodness.p_value < 1e-6
-    assert len(pairs.one) == 15
-    assert (pairs.races == 60).all()
-    worst = np.argsort(-np.abs(pairs.residual))[:3]
-    assert {(pairs.one[k], pairs.other[k]) for k in worst} == {
-        (3, 8),
-        (8, 11),
-        (3, 11),
-    }
-    k = next(k for k in worst if (pairs.one[k], pairs.other[k]) == (3, 8))
-    assert pairs.points[k] > pairs.expected[k]
-    assert pairs.residual[k] > 3
-    # Residuals by hand: 60 races near even have a standard deviation of sqrt(60) / 2 = 3.87.
-    by_hand = (pairs.points[k] - pairs.expected[k]) / np.sqrt(15 * goodness.dispersion)
-    assert pairs.residual[k] == pytest.approx(by_hand, rel=0.02)
+    assert goodness.judged == 15
+    for grid, place in zip(results.entries, results.places, strict=True):
+        one, other = np.searchsorted(names, grid[np.argsort(place)])
+        won[one, other] += 1
+    # By hand: 60 races near even have a standard deviation of sqrt(60) / 2 = 3.87.
+    promised = 60 * expected_score(ratings.elo[:, None] - ratings.elo)
+    squares = (won - promised) ** 2 / (15 * goodness.dispersion)
+    assert goodness.chi_square == pytest.approx(squares[np.triu_indices(6, 1)].sum(), rel=0.02)
+    worst = np.argsort(-np.triu(squares, 1).ravel())[:3]
+    assert {(i // 6, i % 6) for i in worst.tolist()} == {(0, 1), (1, 2), (0, 2)}
 
 
-def test_records_and_scatter_are_those_counted_race_by_race():
+def test_scatter_is_that_counted_race_by_race():
     generator = np.random.default_rng(9)
     results = raced(generator, generator.normal(0, 150, 7), random_grids(generator, 7, 4, 30))
     entries, places = results.entries.copy(), results.places.copy()
@@ -103,7 +99,7 @@ def test_records_and_scatter_are_those_counted_race_by_race():
     # No numbers 0 to 6: the entries are counted by where they stand among the rated ones.
     names = np.array([2, 3, 5, 8, 13, 21, 34, -1])
     results = Results(results.heats, names[entries], places)
-    goodness, ratings = goodness_of_fit(results, fit(results)), fit(results)
+    goodness, ratings = goodness_of_fit(RatingData.of(results), fit(results)), fit(results)
     points, promised, room = {}, {}, {}
     for heat, grid, place in zip(results.heats, results.entries, places, strict=True):
         for a, b in itertools.permutations(range(4), 2):
@@ -116,30 +112,19 @@ def test_records_and_scatter_are_those_counted_race_by_race():
                 promised[key] = promised.get(key, 0) + chance
                 room[key] = room.get(key, 0) + chance * (1 - chance)
     scatter = least = 0.0
-    for k, pair in enumerate(zip(goodness.pairs.one, goodness.pairs.other, strict=True)):
+    for pair in {key[:2] for key in points}:
         keys = [key for key in points if key[:2] == pair]
-        assert goodness.pairs.points[k] == sum(points[key] for key in keys)
-        assert goodness.pairs.expected[k] == pytest.approx(sum(promised[key] for key in keys))
         beyond = [points[key] - promised[key] for key in keys]
         scatter += sum((x - np.mean(beyond)) ** 2 for x in beyond) if len(keys) > 1 else 0
         least += sum(room[key] for key in keys) * (1 - 1 / len(keys))
-    assert len(goodness.pairs.one) == len({key[:2] for key in points})
     assert goodness.dispersion == pytest.approx(max(1.0, scatter / least))
     assert goodness.dispersion > 1.2
 
 
-def test_races_counted_before_are_judged_like_uncounted_ones():
-    results = round_robin(np.random.default_rng(6), leads_of(np.zeros(6), 0.85), 20)
-    data = RatingData.of(results)
-    one, other = goodness_of_fit(data, fit(data)), goodness_of_fit(results, fit(results))
-    assert (one.chi_square, one.dispersion) == (other.chi_square, other.dispersion)
-    with pytest.raises(ValueError, match="do not have"):
-        goodness_of_fit(data, fit(results, entries=[99]))
-
-
 def test_one_race_proves_nothing():
     results = Results(np.array([0]), np.array([[0, 1]]), np.array([[1, 2]]))
-    goodness = goodness_of_fit(results, fit(results))
+    goodness = goodness_of_fit(RatingData.of(results), fit(results))
     assert (goodness.rejected, goodness.p_value, goodness.judged) == (False, 1.0, 0)
     empty = Results(np.zeros(0, int), np.zeros((0, 2), int), np.zeros((0, 2), int))
-    assert not goodness_of_fit(empty, fit(empty, entries=range(3))).rejected
+    data = RatingData.of(empty, range(3))
+    assert not goodness_of_fit(data, fit(data)).rejected

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from league.matchmaking import loop
+from league.matchmaking.loop import Dispatcher
 from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import Store
-from league.matchmaking.workers.dispatcher import Dispatcher
 from tests.matchmaking.season_kit import Here, new_league, submitted
 
 

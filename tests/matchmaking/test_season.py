@@ -10,11 +10,11 @@ import pytest
 
 from league.cli import main
 from league.errors import StoreError
-from league.matchmaking import history, loop, standings
+from league.matchmaking import loop, scores, standings
+from league.matchmaking.loop import Dispatcher
 from league.matchmaking.pairing import matchmaker
 from league.matchmaking.pairing.matchmaker import ROUND, Matchmaker
 from league.matchmaking.store import RATED, HeatOutcome, RaceOutcome, Store
-from league.matchmaking.workers.dispatcher import Dispatcher
 from league.matchmaking.workers.worker import HeatJob, HeatReport
 from tests.matchmaking import leagues
 from tests.matchmaking.season_kit import Here, new_league, submitted
@@ -338,7 +338,7 @@ def test_the_last_moment_of_a_history_is_the_present(url):
         last = store.races().entries[-1]
         assert any(row.number not in last for row in table.rows)  # others raced after its last
         for row in table.rows:
-            moments = history.history(store, store.entry(row.name), points=5)
+            moments = scores.history(store, store.entry(row.name), points=5)
             # Both races of a heat are one moment.
             assert len(moments) == min(5, row.races // 2) and moments[-1].races == row.races
             assert [m.heat for m in moments] == sorted({m.heat for m in moments})

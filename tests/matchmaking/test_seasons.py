@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from league.errors import ConfigError, StoreError
-from league.matchmaking import divisions, history, seasons, standings, store
+from league.matchmaking import divisions, scores, seasons, standings, store
 from league.matchmaking.ratings import Carried, Results, fit
 from league.matchmaking.scope import scope
 from tests.matchmaking import fields, leagues
@@ -159,7 +159,7 @@ def test_a_history_goes_through_all_seasons(league):
     seasons.end(league)
     seasons.start(league)
     race(league, 12, first=12)
-    moments = history.history(league, league.entry("e1"), points=8)
+    moments = scores.history(league, league.entry("e1"), points=8)
     assert [one.season for one in moments] == sorted(one.season for one in moments)
     assert {one.season for one in moments} == {1, 2}
     races = [one.races for one in moments]

@@ -7,7 +7,14 @@ import pytest
 
 from league.errors import ConfigError
 from league.matchmaking.ratings import expected_score
-from league.matchmaking.ratings.sprt import SequentialSettings, compare, elo_of, heat_score
+from league.matchmaking.ratings.sprt import (
+    LEAST_HEATS,
+    SequentialSettings,
+    compare,
+    elo_of,
+    heat_score,
+    ratio,
+)
 
 
 def heats(generator, lead, number, front=0.0):
@@ -19,7 +26,7 @@ def heats(generator, lead, number, front=0.0):
 def run(generator, lead, settings, front=0.0, most=1500):
     """Return the decision and the heats it took."""
     scores = heats(generator, lead, most, front)
-    number = settings.least_heats
+    number = LEAST_HEATS
     while (state := compare(scores[:number], settings)).decision == "undecided" and number < most:
         number += 1 if number < 40 else number // 20
     return state.decision, number
@@ -52,12 +59,11 @@ def test_bounds_are_walds():
 
 def test_ratio_of_duels_one_by_one_is_the_likelihood_of_two_coins():
     # 60 of 100 single races: the most likely coin under each lead is the coin of that lead.
-    settings = SequentialSettings(elo0=0, elo1=50, races_per_heat=1)
-    state = compare(np.array([1.0] * 60 + [0.0] * 40), settings)
+    found = ratio(np.array([40.0, 60.0]), SequentialSettings(elo0=0, elo1=50))
     chance = expected_score(50)
     by_hand = 60 * math.log(chance / 0.5) + 40 * math.log((1 - chance) / 0.5)
-    assert state.llr == pytest.approx(by_hand, abs=0.01)
-    assert state.elo == pytest.approx(400 * math.log10(1.5))  # 70.4
+    assert found == pytest.approx(by_hand, abs=0.01)
+    assert elo_of(0.6) == pytest.approx(400 * math.log10(1.5))  # 70.4
 
 
 def test_pairs_that_split_evenly_say_more_than_races_that_scatter():

@@ -267,7 +267,7 @@ def test_drives_are_of_rated_races_and_races_are_unless_all_are_asked_for(league
     ("until", "own"), [(None, [False, True, True, True]), (6, [False, True, True, False])]
 )
 def test_a_season_has_the_heats_after_the_last_one_up_to_its_own_last(until, own):
-    season = Season(2, "two", "", 0, {}, 4, until, 0.0, None, "")
+    season = Season(2, "two", 0, {}, 0.0, None, "", "", 4, until)
     assert season.has(np.array([4, 5, 6, 7])).tolist() == own
 
 

@@ -17,10 +17,10 @@ import psycopg
 import pytest
 
 from league.errors import StoreError
+from league.matchmaking.loop import MOST_LOSSES, Dispatcher, FinishedHeat, heat_driver
 from league.matchmaking.pairing import heat_spec, matchmaker
 from league.matchmaking.pairing.heat_spec import Half
 from league.matchmaking.store import Store, create
-from league.matchmaking.workers.dispatcher import MOST_LOSSES, Dispatcher, FinishedHeat, heat_driver
 from league.matchmaking.workers.worker import (
     HeatJob,
     HeatReport,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 
 from league.matchmaking import cups, divisions, loop, seasons
+from league.matchmaking.loop import Dispatcher
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import Store
-from league.matchmaking.workers.dispatcher import Dispatcher
 from tests.matchmaking.season_kit import SHORT, Here, new_league, submitted
 
 ORIGIN = "http://127.0.0.1"

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from league.matchmaking import history, standings
+from league.matchmaking import scores, standings
 from league.matchmaking.ratings.pair_counts import ELO
 from league.matchmaking.ratings.table import expected_score
 from league.matchmaking.scope import RatingScope
@@ -81,7 +81,7 @@ def test_each_moment_of_a_history_is_the_likeliest_rating_by_the_races_until_the
         own = rated.own_races(row.number)
         needed = own.strengths - rated.ratings.slot_advantages[own.slot]
         middle, spread = float(rated.ratings.elo.mean()), rated.ratings.prior_sd
-        for moment in history.own_history(rated, own, points=6)[:-1]:
+        for moment in scores.own_history(rated, own, points=6)[:-1]:
             met = own.met[: moment.races]
             chance = expected_score(moment.elo - needed[: moment.races][met])
             # The slope of the log-posterior is 0 there, but for a step of a hundredth of an Elo.

@@ -78,8 +78,8 @@ def test_an_audit_that_agrees_verifies_a_heat(tmp_path):
     from starlette.testclient import TestClient
 
     from league.matchmaking import gauntlet, loop
+    from league.matchmaking.loop import Dispatcher
     from league.matchmaking.pairing.matchmaker import Matchmaker
-    from league.matchmaking.workers.dispatcher import Dispatcher
     from league.web.app import make_app
     from tests.matchmaking.season_kit import Here, new_league
     from tests.web.small_league import ORIGIN

@@ -250,8 +250,8 @@ def test_pages_of_a_league_without_races_say_what_to_do(tmp_path):
 
 def test_a_race_whose_recording_was_not_kept_has_a_page(tmp_path):
     from league.matchmaking import loop
+    from league.matchmaking.loop import Dispatcher
     from league.matchmaking.pairing.matchmaker import Matchmaker
-    from league.matchmaking.workers.dispatcher import Dispatcher
     from tests.matchmaking.season_kit import Here
 
     anchors = ("centerline", "racing_line")

@@ -19,9 +19,9 @@ from starlette.testclient import TestClient
 from league.agents.network import NetworkConfig
 from league.errors import StoreError
 from league.matchmaking import loop, submission
+from league.matchmaking.loop import Dispatcher
 from league.matchmaking.remote import Client, RemoteQueue
 from league.matchmaking.store import Store, database, schema
-from league.matchmaking.workers.dispatcher import Dispatcher
 from league.web.app import make_app
 from league.web.security import Access
 from tests.agents.trained import make_checkpoint

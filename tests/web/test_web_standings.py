@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from league.matchmaking import history, standings
-from league.matchmaking.history import own_history
+from league.matchmaking import scores, standings
 from league.matchmaking.scope import scope
+from league.matchmaking.scores import own_history
 from league.matchmaking.store import Store
 from league.web import answers, reader
 from league.web.app import make_app
@@ -146,7 +146,7 @@ def test_a_snapshot_reads_only_what_is_new(league, monkeypatch):
         [row.elo for row in whole.rows], abs=1e-6
     )
     assert second.races.entries.shape == whole.races.entries.shape
-    assert second.trends == pytest.approx(history.trends(whole, scope(league).carried), abs=1e-3)
+    assert second.trends == pytest.approx(scores.trends(whole, scope(league).carried), abs=1e-3)
     assert second.trends and second.trends != first.trends
 
 

@@ -10,9 +10,9 @@ import pytest
 from starlette.testclient import TestClient
 
 from league.matchmaking import loop
+from league.matchmaking.loop import Dispatcher
 from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import Store
-from league.matchmaking.workers.dispatcher import Dispatcher
 from league.web import site
 from league.web.app import make_app
 from league.web.security import Access

@@ -11,10 +11,10 @@ from starlette.testclient import TestClient
 
 from league.errors import ConfigError, StoreError
 from league.matchmaking import loop, standings, wire
+from league.matchmaking.loop import Dispatcher
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.remote import Client, RemoteQueue
 from league.matchmaking.store import Store
-from league.matchmaking.workers.dispatcher import Dispatcher
 from league.matchmaking.workers.worker import RaceWorker
 from league.sim import PHYSICS
 from league.web.app import make_app

@@ -391,7 +391,7 @@ def _driver(store: lazy.store.Store, text: str) -> lazy.worker.HeatDriver:
     """Return an entry by name or id, or a checkpoint by its file or its name in the garage."""
     entered = text not in lazy.roster.garage() or text in (entry.name for entry in store.entries())
     if entered and not text.endswith(".pt"):
-        return lazy.dispatcher.heat_driver(store, store.entry(text))
+        return lazy.loop.heat_driver(store, store.entry(text))
     loaded = lazy.checkpoint.load(lazy.roster.checkpoint_path(text))
     lazy.submission.check_sensors(loaded.card.sensors, store.settings.ruleset)
     return lazy.worker.HeatDriver(

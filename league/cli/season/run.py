@@ -56,12 +56,12 @@ class Racing(OnLeague):
         if not 1 <= self.lease_s <= 3600:
             raise ConfigError(f"--lease-s {self.lease_s}: give 1 to 3600 s")
 
-    def _race(self, source: lazy.dispatcher.HeatSource, store: lazy.store.Store | None) -> None:
+    def _race(self, source: lazy.loop.HeatSource, store: lazy.store.Store | None) -> None:
         """Race heats of a source; `store` is the league, where it is on this machine."""
         with ExitStack() as stack:
             matchmaker = self._matchmaker(store) if store else None
             executor = stack.enter_context(season.local_workers(self.workers, self.executor))
-            dispatcher = lazy.dispatcher.Dispatcher(
+            dispatcher = lazy.loop.Dispatcher(
                 source, executor, lease_s=self.lease_s, keep_replays=self.replays
             )
             watch = _print_finished
@@ -206,7 +206,7 @@ def _print_tally(tally: lazy.loop.Tally, over: str) -> None:
         )
 
 
-def describe(finished: lazy.dispatcher.FinishedHeat) -> str:
+def describe(finished: lazy.loop.FinishedHeat) -> str:
     """Return a heat's outcome in a line."""
     claim, report = finished.running.claim, finished.report
     names = " - ".join(finished.running.names)
@@ -221,7 +221,7 @@ def describe(finished: lazy.dispatcher.FinishedHeat) -> str:
     return f"{start}: places {scores}  {report.race_s:.0f} s in {report.wall_s:.1f} s{note}"
 
 
-def _print_finished(_tally: lazy.loop.Tally, finished: list[lazy.dispatcher.FinishedHeat]) -> None:
+def _print_finished(_tally: lazy.loop.Tally, finished: list[lazy.loop.FinishedHeat]) -> None:
     for one in finished:
         print(describe(one), flush=True)
 
@@ -229,7 +229,7 @@ def _print_finished(_tally: lazy.loop.Tally, finished: list[lazy.dispatcher.Fini
 class LivePage:
     """A page that is redrawn in place: rates, heats under way, last results, standings."""
 
-    def __init__(self, store: lazy.store.Store, dispatcher: lazy.dispatcher.Dispatcher) -> None:
+    def __init__(self, store: lazy.store.Store, dispatcher: lazy.loop.Dispatcher) -> None:
         from rich.live import Live
 
         self._store, self._crew = store, dispatcher
@@ -239,7 +239,7 @@ class LivePage:
         self._fitted_s, self._stale = 0.0, True
         self.live = Live(console=tables.console(), refresh_per_second=4, transient=True)
 
-    def show(self, tally: lazy.loop.Tally, finished: list[lazy.dispatcher.FinishedHeat]) -> None:
+    def show(self, tally: lazy.loop.Tally, finished: list[lazy.loop.FinishedHeat]) -> None:
         """Draw the page."""
         for one in finished:
             self._last.append(describe(one))

@@ -123,7 +123,7 @@ class ShowHistory(Reading):
         season.at_least(self, "points", 1)
         with self.opened() as store:
             entry = store.entry(self.entry)
-            moments = lazy.history.history(store, entry, points=self.points)
+            moments = lazy.scores.history(store, entry, points=self.points)
         if self.json:
             return season.print_json(moments)
         rows = []

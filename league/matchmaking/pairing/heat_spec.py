@@ -15,14 +15,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 from league.sim import PHYSICS
-from league.sim.config import (
-    MAX_CARS,
-    MAX_OBSTACLES,
-    RaceFormat,
-    RaceKind,
-    RulesName,
-    SolverName,
-)
+from league.sim.config import MAX_CARS, MAX_OBSTACLES, RaceFormat, RaceKind, RulesName, SolverName
 
 Purpose = Literal["rated", "validation", "audit", "gauntlet", "cup"]
 
@@ -173,13 +166,3 @@ def seed(secret: bytes, heat_key: str, half: int) -> int:
     """
     code = hmac.digest(secret, f"{heat_key}/{half}".encode(), "sha256")
     return int.from_bytes(code[:8], "big") >> 1
-
-
-def result_hash(result: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a race's result: the same race run twice must give the same."""
-    return digest(canonical(result))
-
-
-def scripted_id(name: str) -> str:
-    """Return the entry id of a scripted driver, which has no weights to hash."""
-    return digest(f"scripted driver {name}".encode())

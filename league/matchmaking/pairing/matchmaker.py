@@ -18,16 +18,10 @@ import numpy as np
 
 from league.matchmaking import cups, divisions, safety, standings
 from league.matchmaking.divisions import SeasonSettings
+from league.matchmaking.pairing import schedule
 from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
-from league.matchmaking.pairing.schedule import (
-    Contender,
-    HeatPlan,
-    Meetings,
-    next_heats,
-    rated_state,
-    validation_heats,
-)
-from league.matchmaking.ratings import Carried, Ratings
+from league.matchmaking.pairing.schedule import Contender, HeatPlan, Meetings
+from league.matchmaking.ratings import Carried, RatingData, Ratings
 from league.matchmaking.scope import scope
 from league.matchmaking.store import (
     RATED,
@@ -143,17 +137,15 @@ class _Past:
 
     def meetings(self, number_of: dict[str, int]) -> Meetings:
         """Return the heats in which each pair met or is to meet, by entry numbers."""
-        grids = self.races.entries[self.races.half == 0]
-        met = Counter[tuple[int, int]]()
+        first = RatingData.of(standings.results_of(self.races.where(self.races.half == 0)))
+        one, other = (
+            first.entries[some].tolist() for some in (first.counts.one, first.counts.other)
+        )
+        heats = first.counts.by_pair(first.counts.meetings).astype(int).tolist()
+        met = Counter(dict(zip(zip(one, other, strict=True), heats, strict=True)))
         for record in self.queued:
             if record.heat.purpose == "rated":
-                numbers = sorted(number_of[id] for id in record.heat.entries)
-                met.update(combinations(numbers, 2))
-        for one, other in combinations(range(grids.shape[1]), 2):
-            both = grids[(grids[:, one] >= 0) & (grids[:, other] >= 0)][:, [one, other]]
-            pairs, counts = np.unique(np.sort(both, axis=1), axis=0, return_counts=True)
-            for (a, b), count in zip(pairs.tolist(), counts.tolist(), strict=True):
-                met[a, b] += count
+                met.update(combinations(sorted(number_of[id] for id in record.heat.entries), 2))
         return met
 
 
@@ -194,13 +186,11 @@ class Matchmaker:
 
     def _find_latest(self, ruleset: str) -> _Round:
         """Return the newest round; what is known of it from last time saves reading."""
-        known = self._latest
-        since = known.first - 1
-        if not known.number:
+        since = self._latest.first - 1
+        if not self._latest.number:
             since = max(0, sum(self._store.counts().values()) - LOOK_BACK)
         heats = _season_heats(self._store.heats(since=since), ruleset)
-        if not heats and since > 0 and not known.number:
-            heats = _season_heats(self._store.heats(), ruleset)
+        heats = heats or _season_heats(self._store.heats(), ruleset)
         if not heats:
             return _Round()
         number = max(_round(record) for record in heats)
@@ -232,7 +222,7 @@ class Matchmaker:
             self._move_divisions(within.season, past, roster, number)
         plans: list[HeatPlan] = []
         for newcomer in roster.newcomers:
-            plans += validation_heats(newcomer, roster.contenders, rules, generator)
+            plans += schedule.validation_heats(newcomer, roster.contenders, rules, generator)
         rated = [one for one in roster.contenders if one.state in RATED]
         size = min(max(LEAST_ROUND, len(rated) // 2), ROUND // 2)
         # A new league's first entries need not wait for its anchors to be sure; and a season that
@@ -243,7 +233,7 @@ class Matchmaker:
         id_of = {entry.number: entry.id for entry in entries}
         line_up = _line_up(rules, past, roster, entries)
         meetings = past.meetings({id: number for number, id in id_of.items()})
-        plans += next_heats(
+        plans += schedule.next_heats(
             rated, meetings, rules, generator, heats=size, same_owner=self._same_owner
         )
         return [
@@ -296,10 +286,7 @@ class _Roster:
 
     @classmethod
     def of(
-        cls,
-        entries: Sequence[LeagueEntry],
-        past: _Past,
-        validations: dict[int, list[HeatRecord]],
+        cls, entries: Sequence[LeagueEntry], past: _Past, validations: dict[int, list[HeatRecord]]
     ) -> _Roster:
         """Return where every entry stands."""
         roster = cls()
@@ -320,7 +307,7 @@ class _Roster:
             line: dict[str, Any] = {}
             if state in RATED and fitted is not None:
                 line = fitted.line(fitted.index(entry.number), "elo", "sd", "races")
-                state = rated_state(line["sd"])
+                state = schedule.rated_state(line["sd"])
             roster.states[entry.number] = (state, reason)
             if state in ("retired", "refused"):
                 continue
@@ -360,8 +347,7 @@ def _heat(
         if line_up is not None:
             grid = sorted(grid, key=lambda entry: line_up(entry, track))
         halves.append(Half(track, tuple(id_of[entry] for entry in grid)))
-    halves = tuple(halves)
-    return Heat(ruleset, halves, draw, "rated" if plan.rated else "validation")
+    return Heat(ruleset, tuple(halves), draw, "rated" if plan.rated else "validation")
 
 
 def _season_heats(records: Sequence[HeatRecord], ruleset: str) -> list[HeatRecord]:

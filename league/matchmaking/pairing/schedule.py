@@ -14,7 +14,6 @@ from typing import Literal
 
 import numpy as np
 
-from league.errors import ConfigError
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.ratings.pair_counts import ELO, groups
 from league.matchmaking.ratings.table import PROVISIONAL_SD
@@ -82,10 +81,7 @@ def rated_state(sd: float) -> EntryState:
 
 
 def validation_heats(
-    newcomer: Contender,
-    field: Sequence[Contender],
-    rules: Ruleset,
-    generator: np.random.Generator,
+    newcomer: Contender, field: Sequence[Contender], rules: Ruleset, generator: np.random.Generator
 ) -> list[HeatPlan]:
     """Plan a newcomer's race against itself, and one against an anchor if there is one."""
     own, other = (str(track) for track in generator.choice(rules.tracks, size=2))
@@ -106,19 +102,12 @@ def next_heats(
     heats: int | None = None,
     same_owner: bool = False,
 ) -> list[HeatPlan]:
-    """Plan a round of rated heats.
+    """Plan a round of rated heats; fewer than asked for, possibly none, if no more may meet.
 
-    Args:
-        field: all entries; those not in a rated state are left out.
-        meetings: how often pairs have met, planned heats included.
-        rules: cars of a race, fewer if the field has not so many owners, and tracks.
-        generator: random numbers.
-        heats: how many; by default half as many as there are entries, so that workers do not
-            wait for a refit and no plan is older than a round.
-        same_owner: whether entries of one owner may meet; a league of one person needs it.
-
-    Returns:
-        Fewer heats than asked for, possibly none, if the rules let no more entries meet.
+    By default there are half as many as entries, so that workers do not wait for a refit and no
+    plan is older than a round. Entries that are not in a rated state are left out. A race has fewer
+    cars than the rules say if the field has not so many owners; entries of one owner may meet
+    (`same_owner`) in a league of one person.
     """
     field = [one for one in field if one.state in RATED]
     if min(len(field), rules.cars) < 2:
@@ -175,8 +164,6 @@ class _Grids:
         same_owner: bool,
     ) -> None:
         place = {one.entry: index for index, one in enumerate(field)}
-        if len(place) != len(field):
-            raise ConfigError("an entry stands twice in the standings: give each once")
         self.cars, self.generator = rules.cars, generator
         self.entries = np.array([one.entry for one in field])
         numbers = np.array([(one.elo, one.sd, one.races) for one in field], dtype=float)

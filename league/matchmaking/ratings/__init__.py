@@ -5,14 +5,6 @@ from league.matchmaking.ratings.pair_counts import RatingData, Results
 from league.matchmaking.ratings.table import Carried, Difference, Ratings, expected_score
 
 __all__ = [
-    "Carried",
-    "Difference",
-    "RatingData",
-    "RatingSettings",
-    "Ratings",
-    "Results",
-    "expected_score",
-    "fit",
-    "refit",
-    "updated",
-]
+    "Carried", "Difference", "RatingData", "RatingSettings", "Ratings", "Results",
+    "expected_score", "fit", "refit", "updated",
+]  # fmt: skip

@@ -13,25 +13,17 @@ from scipy import sparse
 from scipy.sparse.linalg import aslinearoperator, cg
 from scipy.special import wrightomega
 
-from league.errors import ConfigError
-from league.matchmaking.ratings import systems
+from league.matchmaking.ratings import pair_counts, systems
 from league.matchmaking.ratings.pair_counts import (
     ELO,
     EMPTY,
     PairCounts,
     RatingData,
     Results,
-    count,
-    groups,
-    slope,
+    Squares,
 )
-from league.matchmaking.ratings.systems import Blocks, Sparse, Squares, Variances
-from league.matchmaking.ratings.table import (
-    SIGMAS_95,
-    Carried,
-    Posterior,
-    Ratings,
-)
+from league.matchmaking.ratings.systems import Blocks, Sparse, Variances
+from league.matchmaking.ratings.table import SIGMAS_95, Carried, Posterior, Ratings
 
 ANCHOR_ELO = 1000.0
 """Where the anchor is pinned."""
@@ -70,12 +62,6 @@ class RatingSettings:
     dense_most: int = systems.DENSE_MOST
     """Entries that met others up to which variances are exact; of more they are right to 1 %."""
 
-    def __post_init__(self) -> None:
-        for name in ("prior_sd", "slot_sd"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < np.inf:
-                raise ConfigError(f"{name} is {value}: give a spread above 0 Elo")
-
 
 def fit(
     races: Results | RatingData,
@@ -89,22 +75,15 @@ def fit(
     """Rate a field from all its races.
 
     Args:
-        races: in any order, delivered once or more often; or counted already.
+        races: in any order; or counted already.
         settings: the league's choices.
         entries: numbers to rate even if they have not raced yet (where races are not counted yet).
-        anchor: the entry that is 1000.
+        anchor: the entry that is 1000, one of the field.
         carried: ratings of an earlier season, which these races change.
         near: ratings by nearly the same races: the search begins there and is short.
-
-    Raises:
-        ConfigError: no entry to rate, an anchor that is not in the field, contradicting results.
     """
     data = races if isinstance(races, RatingData) else RatingData.of(races, entries)
     settings = settings or RatingSettings()
-    if not len(data.entries):
-        raise ConfigError("there are no entries to rate: submit one, or give results")
-    if anchor is not None and anchor not in data.entries:
-        raise ConfigError(f"anchor {anchor} is not in the field: name one of its entries")
     model = _Model(data, settings, carried, near)
     prior_sd = carried.prior_sd if carried and settings.prior_sd is None else settings.prior_sd
     posterior = model.learned() if prior_sd is None else model.at(prior_sd)
@@ -154,7 +133,7 @@ class _Model:
         """Climb to the best parameters under a prior, until a step is small enough."""
         prior, at = self.prior(prior_sd), self._last
         self.num_spreads += 1
-        seen = slope(self._counts, at)
+        seen = pair_counts.slope(self._counts, at)
         value = seen.value - 0.5 * float(prior @ (at - self._mean) ** 2)
         far = 1.0
         for _ in range(100):
@@ -172,7 +151,7 @@ class _Model:
             length = min(1.0, 4.0 / far)
             while True:
                 tried = at + length * step
-                seen = slope(self._counts, tried)
+                seen = pair_counts.slope(self._counts, tried)
                 now = seen.value - 0.5 * float(prior @ (tried - self._mean) ** 2)
                 # Rounding hides gains below a billionth; there the full step is right anyway.
                 if now >= value + 1e-4 * length * promised - 1e-9 * abs(value) or length < 1e-6:
@@ -286,7 +265,7 @@ def _ratings(
     if anchor is not None:  # what is published is the lead over the anchor
         elo_sd = ELO * np.sqrt(variances.against(int(np.searchsorted(entries, anchor))))
     pairs, points = data.counts.points()
-    group = groups(data.counts.one, data.counts.other, size)
+    group = pair_counts.groups(data.counts.one, data.counts.other, size)
     if anchor is not None:
         home = group[np.searchsorted(entries, anchor)]
     else:
@@ -309,7 +288,7 @@ def _ratings(
         num_races=len(data.results),
         num_spreads=num_spreads,
         posterior=posterior,
-        gap_variances=lambda one, other: ELO**2 * variances.gaps(one, other),
+        gap_variance=lambda one, other: ELO**2 * variances.gap(one, other),
     )
 
 
@@ -335,8 +314,8 @@ def updated(fitted: Ratings, later: Results) -> Ratings | None:
         return None
     room = ((0, 0), (0, slots - later.entries.shape[1]))
     entries = np.pad(np.where(raced, place, EMPTY), room, constant_values=EMPTY)
-    results = Results(later.heats, entries, np.pad(later.places, room)).distinct()
-    counts = count(results, len(fitted.entries))
+    results = Results(later.heats, entries, np.pad(later.places, room))
+    counts = pair_counts.count(results, len(fitted.entries))
     parameters, weights = _climbed(fitted, counts)
     return _rated(fitted, results, counts, parameters, weights)
 
@@ -346,7 +325,7 @@ def _climbed(fitted: Ratings, counts: PairCounts) -> tuple[np.ndarray, np.ndarra
     posterior = fitted.posterior
     at, system = posterior.parameters, posterior.system
     for _ in range(MOST_STEPS):
-        seen = slope(counts, at)
+        seen = pair_counts.slope(counts, at)
         later = Sparse(Blocks(counts, seen.weights, np.zeros(counts.size)))
         step, _ = cg(
             aslinearoperator(system) + aslinearoperator(later),
@@ -359,7 +338,7 @@ def _climbed(fitted: Ratings, counts: PairCounts) -> tuple[np.ndarray, np.ndarra
         at = at + min(1.0, 1.0 / max(far, ENOUGH_LATER)) * step
         if far < ENOUGH_LATER:
             break
-    return at, slope(counts, at).weights
+    return at, pair_counts.slope(counts, at).weights
 
 
 def _rated(

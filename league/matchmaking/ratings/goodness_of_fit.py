@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import expit, gammaincc
 
 from league.matchmaking.ratings import pair_counts
-from league.matchmaking.ratings.pair_counts import ELO, RatingData, Results
+from league.matchmaking.ratings.pair_counts import ELO, RatingData
 from league.matchmaking.ratings.table import Ratings
 
 LEAST_VARIANCE = 1.0
@@ -20,31 +20,9 @@ LEAST_VARIANCE = 1.0
 
 
 @dataclass(frozen=True)
-class Pairs:
-    """All pairs that met, and how they did against what their ratings promise."""
-
-    one: np.ndarray
-    """Entry number of the one, (pairs,)."""
-    other: np.ndarray
-    """Entry number of the other, above the one's, (pairs,)."""
-    races: np.ndarray
-    """Races they met in, (pairs,)."""
-    points: np.ndarray
-    """Points of the one, (pairs,)."""
-    expected: np.ndarray
-    """Points its rating promises, (pairs,)."""
-    residual: np.ndarray
-    """(points - expected) / standard deviation: above 2 or below -2 is worth a look, (pairs,)."""
-    variance: np.ndarray
-    """Variance of the points, dispersion included, (pairs,)."""
-
-
-@dataclass(frozen=True)
 class Goodness:
     """Whether the ratings explain the results."""
 
-    pairs: Pairs
-    """The head-to-head records."""
     chi_square: float
     """Sum of the squared residuals of all pairs that raced enough to be judged."""
     freedom: float
@@ -59,27 +37,15 @@ class Goodness:
     """Scatter of the heats of one pair over that of independent races; 1 or more."""
 
 
-def goodness_of_fit(
-    races: Results | RatingData, ratings: Ratings, *, level: float = 0.01
-) -> Goodness:
-    """Test whether the head-to-head records agree with the ratings.
-
-    Args:
-        races: those that the ratings were made of.
-        ratings: what is tested.
-        level: false alarms allowed.
-    """
-    data = races if isinstance(races, RatingData) else RatingData.of(races, ratings.entries)
-    if not np.array_equal(data.entries, ratings.entries):
-        raise ValueError("the races name entries that the ratings do not have")
+def goodness_of_fit(data: RatingData, ratings: Ratings, *, level: float = 0.01) -> Goodness:
+    """Test whether ratings agree with their races; `level` is the share of false alarms allowed."""
     counts = data.counts
     chance = expit(counts.leads(ratings.elo / ELO, ratings.slot_advantages / ELO))
     room = chance * (1.0 - chance)
     single = np.maximum(counts.by_pair(counts.meetings * room), 1e-12)
     dispersion = _dispersion(data, ratings)
-    points, expected = counts.by_pair(counts.won), counts.by_pair(counts.meetings * chance)
-    variance = single * dispersion
-    residual = (points - expected) / np.sqrt(variance)
+    beyond = counts.by_pair(counts.won) - counts.by_pair(counts.meetings * chance)
+    residual = beyond / np.sqrt(single * dispersion)
     judged = single >= LEAST_VARIANCE
     chi_square = float((residual[judged] ** 2).sum())
     # Pairs less the strengths fitted to them: the entries less 1 in each group.
@@ -94,15 +60,6 @@ def goodness_of_fit(
         spread = freedom * max(0.1, 2.0 + bend)
         p_value = float(gammaincc(freedom**2 / spread, chi_square * freedom / spread))
     return Goodness(
-        pairs=Pairs(
-            one=ratings.entries[counts.one],
-            other=ratings.entries[counts.other],
-            races=counts.by_pair(counts.meetings),
-            points=points,
-            expected=expected,
-            residual=residual,
-            variance=variance,
-        ),
         chi_square=chi_square,
         freedom=freedom,
         p_value=p_value,

@@ -1,4 +1,4 @@
-"""Results of races as tables, and counts of the pairs that met: the log-likelihood of strengths.
+"""Results of races as tables: counts of the pairs that met, and heats' slopes, for the likelihood.
 
 A finishing order of K cars counts as its K (K - 1) / 2 pairs (a composite likelihood); a pair of
 cars i on slot a and j on slot b is won by i with the odds exp(x), where
@@ -21,8 +21,6 @@ from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.special import expit
 
-from league.errors import ConfigError
-
 EMPTY = -1
 """Entry number of an empty grid slot."""
 ELO = 400.0 / np.log(10.0)
@@ -34,27 +32,11 @@ class Results:
     """Many races as tables."""
 
     heats: np.ndarray
-    """Number of the heat each race belongs to, int64, (races,)."""
+    """Number of the heat each race belongs to, int64, (races,). Each race is here once."""
     entries: np.ndarray
     """Entry numbers in grid order, -1 where the grid is empty, int64, (races, slots)."""
     places: np.ndarray
     """Places, smaller is better, equal is a tie, int64, (races, slots)."""
-
-    def __post_init__(self) -> None:
-        if self.entries.ndim != 2 or self.entries.shape != self.places.shape:
-            raise ConfigError(
-                f"results have entries of shape {self.entries.shape} and places of shape "
-                f"{self.places.shape}: give both as (races, slots)"
-            )
-        if self.heats.shape != self.entries.shape[:1]:
-            raise ConfigError(
-                f"{self.heats.shape} heat numbers for {len(self.entries)} races: give one a race"
-            )
-        if len(self.entries) and self.entries.min() < EMPTY:
-            raise ConfigError(
-                f"entry number {self.entries.min()} is below 0: number entries from 0 up, "
-                "and leave empty slots at -1"
-            )
 
     def __len__(self) -> int:
         return len(self.heats)
@@ -63,38 +45,11 @@ class Results:
         """Return the races in some rows (indices, or a mask)."""
         return Results(self.heats[rows], self.entries[rows], self.places[rows])
 
-    def distinct(self) -> Results:
-        """Return the races sorted by heat, each once, however often it was delivered.
-
-        A race is known by its heat and its grid.
-
-        Raises:
-            ConfigError: one race with two outcomes, which the store must settle first.
-        """
-        table = self
-        if len(self) > 1 and (self.heats[1:] < self.heats[:-1]).any():
-            table = self.rows(np.argsort(self.heats, kind="stable"))
-        repeated = np.zeros(len(table), dtype=bool)
-        # Compare each row with the next one of its heat, then with the one after that, ...
-        for apart in range(1, len(table)):
-            first = np.flatnonzero(table.heats[:-apart] == table.heats[apart:])
-            if not len(first):
-                break
-            second = first + apart
-            same = (table.entries[first] == table.entries[second]).all(axis=1)
-            first, second = first[same], second[same]
-            if (table._orders(first) != table._orders(second)).any():
-                raise ConfigError(
-                    f"heat {table.heats[first[0]]} has one race with two different outcomes: "
-                    "quarantine it before rating"
-                )
-            repeated[second] = True
-        return table.rows(~repeated) if repeated.any() else table
-
-    def _orders(self, rows: np.ndarray) -> np.ndarray:
-        """Return which slot beat which, (rows, slots, slots): places may differ in numbering."""
-        places = np.where(self.entries[rows] >= 0, self.places[rows], 0)
-        return np.sign(places[:, :, None] - places[:, None, :])
+    def by_heat(self) -> Results:
+        """Return the races sorted by heat."""
+        if (self.heats[1:] >= self.heats[:-1]).all():
+            return self
+        return self.rows(np.argsort(self.heats, kind="stable"))
 
 
 @dataclass(frozen=True)
@@ -197,23 +152,15 @@ class RatingData:
     entries: np.ndarray
     """Entry numbers, ascending, (entries,)."""
     results: Results
-    """Each race once, sorted by heat; their entries are indices into `entries`."""
+    """The races sorted by heat; their entries are indices into `entries`."""
     races: np.ndarray
     """Races each entry started in, (entries,)."""
     counts: PairCounts
 
     @classmethod
     def of(cls, results: Results, extra: Iterable[int] = ()) -> RatingData:
-        """Count the races of a field.
-
-        Args:
-            results: the races, in any order, delivered once or more often.
-            extra: entry numbers that belong to the field even if they have not raced yet.
-
-        Raises:
-            ConfigError: contradicting results.
-        """
-        results = results.distinct()
+        """Count the races of a field, to which the entries `extra` belong even without a race."""
+        results = results.by_heat()
         extras = np.fromiter(extra, dtype=np.int64)
         top = int(max(results.entries.max(initial=EMPTY), extras.max(initial=EMPTY))) + 1
         starters = results.entries.ravel()
@@ -330,3 +277,75 @@ def race_scores(results: Results, strengths: np.ndarray, slots: np.ndarray) -> n
         scores[:, a] += beyond
         scores[:, b] -= beyond
     return scores
+
+
+@dataclass(frozen=True)
+class Squares:
+    """The middle of the sandwich, J + prior, by blocks; that of the strengths by its factor."""
+
+    scores: sparse.csr_array
+    """Slope of each heat by strength, each entry once, (heats, entries)."""
+    prior: np.ndarray
+    """Precisions of the strengths, (entries,)."""
+    border: np.ndarray
+    """By strength and slot, (entries, slots)."""
+    corner: np.ndarray
+    """By slot and slot, (slots, slots)."""
+    heats: np.ndarray
+    """Heats each entry was in, (entries,)."""
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return sum(self.border.shape)
+
+    @classmethod
+    def of(cls, results: Results, at: np.ndarray, prior: np.ndarray) -> Squares:
+        """Sum the squared slopes of the heats at some parameters; races must be sorted by heat."""
+        slots = results.entries.shape[1]
+        size = len(at) - slots
+        scores = race_scores(results, at[:size], at[size:])
+        starts = np.flatnonzero(np.diff(results.heats, prepend=results.heats[:1] - 1))
+        by_slot = np.add.reduceat(scores, starts, axis=0) if len(starts) else scores
+        # One row a heat; an entry that stands in it twice (once a race) is summed by the product.
+        raced = results.entries >= 0
+        before = np.append(0, np.cumsum(raced.sum(axis=1)))  # cars that stood in earlier races
+        bounds = before[np.append(starts, len(results))]
+        heats = sparse.csr_array(
+            (scores[raced], results.entries[raced], bounds), shape=(len(starts), size)
+        )
+        heats.sum_duplicates()
+        return cls(
+            scores=heats,
+            prior=prior[:size],
+            border=heats.T @ by_slot,
+            corner=by_slot.T @ by_slot + np.diag(prior[size:]),
+            heats=np.bincount(heats.indices, minlength=size),
+        )
+
+    @cached_property
+    def scattered(self) -> sparse.csr_array:
+        """J by strength and strength."""
+        return (self.scores.T @ self.scores).tocsr()
+
+    def diagonal(self) -> np.ndarray:
+        """Return the diagonal by strength, (entries,)."""
+        squares = np.bincount(self.scores.indices, self.scores.data**2, len(self.prior))
+        return squares + self.prior
+
+    def table(self, met: np.ndarray) -> np.ndarray:
+        """Return the rows and columns of some entries (indices) and of the slots, dense."""
+        scores, border = self.scores[:, met], self.border[met]
+        entries = (scores.T.tocsr() @ scores).toarray() + np.diag(self.prior[met])
+        return np.block([[entries, border], [border.T, self.corner]])
+
+    def entries_times(self, vectors: np.ndarray) -> np.ndarray:
+        """Return the product of the strengths' block with some columns, (entries, columns)."""
+        return self.scores.T @ (self.scores @ vectors) + self.prior[:, None] * vectors
+
+    def times(self, vectors: np.ndarray) -> np.ndarray:
+        """Return the product with some columns, (entries + slots, columns)."""
+        size = len(self.border)
+        entries, slots = vectors[:size], vectors[size:]
+        above = self.entries_times(entries) + self.border @ slots
+        return np.concatenate([above, self.border.T @ entries + self.corner @ slots])

@@ -19,6 +19,10 @@ from league.matchmaking.ratings.table import SIGMAS_95, expected_score
 
 Decision = Literal["better", "not better", "undecided"]
 
+LEAST_HEATS = 4
+"""No answer before so many heats."""
+OUTCOMES = np.linspace(0.0, 1.0, 5)
+"""Scores that a heat of two races can have."""
 _UNSEEN = 1e-3
 """Heats credited to each outcome, so that one not yet seen is unlikely and not impossible."""
 
@@ -35,15 +39,11 @@ class SequentialSettings:
     """Chance to say "better" though the lead is only elo0."""
     beta: float = 0.05
     """Chance to say "not better" though the lead is elo1."""
-    races_per_heat: int = 2
-    """Races with a mean that is one score; outcomes are the half points of these."""
     slot_gap: float = 0.0
     """What the front of two slots is worth over the other, as the league's ratings say [Elo].
 
     A heat swaps the slots, but a gap between them still pulls its mean score towards a half.
     """
-    least_heats: int = 4
-    """No answer before so many heats."""
 
     def __post_init__(self) -> None:
         if not self.elo0 < self.elo1:
@@ -54,19 +54,11 @@ class SequentialSettings:
             raise ConfigError(
                 f"alpha is {self.alpha} and beta {self.beta}: give both between 0 and 0.5"
             )
-        if self.races_per_heat < 1 or self.least_heats < 1:
-            raise ConfigError(
-                f"{self.races_per_heat} races a heat and {self.least_heats} heats at least: "
-                "both must be 1 or more"
-            )
 
     @property
     def bounds(self) -> tuple[float, float]:
         """Log-likelihood ratios that end the test: not better, better."""
-        return (
-            math.log(self.beta / (1 - self.alpha)),
-            math.log((1 - self.beta) / self.alpha),
-        )
+        return math.log(self.beta / (1 - self.alpha)), math.log((1 - self.beta) / self.alpha)
 
 
 @dataclass(frozen=True)
@@ -94,29 +86,21 @@ class Comparison:
 
 
 def compare(scores: np.ndarray, settings: SequentialSettings | None = None) -> Comparison:
-    """Judge B's scores against A, one a heat, in the order the heats were planned.
+    """Judge B's mean scores against A in heats, in [0, 1], (heats,), in the order of their plan.
 
-    Args:
-        scores: mean score of B in each heat, in [0, 1], (heats,).
-        settings: what is asked.
-
-    Raises:
-        ConfigError: a score that no heat of so many races can have.
+    A score that no heat of two races can have is a ConfigError.
     """
     settings = settings or SequentialSettings()
-    outcomes = 2 * settings.races_per_heat
-    places = np.asarray(scores, dtype=float) * outcomes
-    whole = np.round(places).clip(0, outcomes)
-    if not (np.abs(places - whole) <= 1e-6).all():
+    counts = (np.abs(scores - OUTCOMES[:, None]) < 1e-6).sum(axis=1).astype(float)
+    if counts.sum() != len(scores):
         raise ConfigError(
-            f"scores of heats of {settings.races_per_heat} races must be multiples of "
-            f"1/{outcomes} in [0, 1]: give the mean over a heat's races, a tie as 0.5"
+            "scores of heats of 2 races must be multiples of 1/4 in [0, 1]: give the mean over a "
+            "heat's races, a tie as 0.5"
         )
-    counts = np.bincount(whole.astype(int), minlength=outcomes + 1).astype(float)
     llr = ratio(counts, settings)
     lower, upper = settings.bounds
     decision: Decision = "undecided"
-    if len(places) >= settings.least_heats:
+    if len(scores) >= LEAST_HEATS:
         decision = "better" if llr >= upper else "not better" if llr <= lower else "undecided"
     score, low, high = _interval(counts)
     return Comparison(
@@ -124,7 +108,7 @@ def compare(scores: np.ndarray, settings: SequentialSettings | None = None) -> C
         llr=llr,
         lower=lower,
         upper=upper,
-        heats=len(places),
+        heats=len(scores),
         score=score,
         elo=elo_of(score, settings.slot_gap),
         low95=elo_of(low, settings.slot_gap),
@@ -157,10 +141,10 @@ def elo_of(score: float, slot_gap: float = 0.0) -> float:
     """Return the lead [Elo] that gives this mean score over a heat."""
     if not 0.0 < score < 1.0:
         return math.copysign(math.inf, score - 0.5)
-    chance, pull = score, 10.0 ** (slot_gap / 400.0)
+    pull = 10.0 ** (slot_gap / 400.0)
     # Half the sum of o p / (1 + o p) and o / (o + p) for odds o and pull p is a quadratic in o.
-    half = 0.5 * (pull + 1.0 / pull) * (1.0 - 2.0 * chance)
-    odds = (-half + math.sqrt(half**2 + 4.0 * chance * (1.0 - chance))) / (2.0 * (1.0 - chance))
+    half = 0.5 * (pull + 1.0 / pull) * (1.0 - 2.0 * score)
+    odds = (-half + math.sqrt(half**2 + 4.0 * score * (1.0 - score))) / (2.0 * (1.0 - score))
     return 400.0 * math.log10(odds)
 
 

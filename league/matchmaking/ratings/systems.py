@@ -10,14 +10,13 @@ conjugate gradients and estimate diagonals from random probes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse.linalg import aslinearoperator, cg
 
-from league.matchmaking.ratings.pair_counts import PairCounts, Results, race_scores
+from league.matchmaking.ratings.pair_counts import PairCounts, Squares
 
 DENSE_MOST = 1500
 """Entries that met others up to which H is factored; beyond, the cube of these is too slow."""
@@ -35,73 +34,6 @@ SMALL = 3e-3
 """Share of a step's largest number below which the others are left out of the step."""
 PULL = 50.0
 """Heats an entry needs for its own scatter to count as much as the field's."""
-
-
-@dataclass(frozen=True)
-class Squares:
-    """The middle of the sandwich, J + prior, by blocks; that of the strengths by its factor."""
-
-    scores: sparse.csr_array
-    """Slope of each heat by strength, each entry once, (heats, entries)."""
-    prior: np.ndarray
-    """Precisions of the strengths, (entries,)."""
-    border: np.ndarray
-    """By strength and slot, (entries, slots)."""
-    corner: np.ndarray
-    """By slot and slot, (slots, slots)."""
-    heats: np.ndarray
-    """Heats each entry was in, (entries,)."""
-
-    @property
-    def size(self) -> int:
-        """Number of parameters."""
-        return sum(self.border.shape)
-
-    @classmethod
-    def of(cls, results: Results, at: np.ndarray, prior: np.ndarray) -> Squares:
-        """Sum the squared slopes of the heats at some parameters; races must be sorted by heat."""
-        slots = results.entries.shape[1]
-        size = len(at) - slots
-        scores = race_scores(results, at[:size], at[size:])
-        starts = np.flatnonzero(np.diff(results.heats, prepend=results.heats[:1] - 1))
-        by_slot = np.add.reduceat(scores, starts, axis=0) if len(starts) else scores
-        # One row a heat; an entry that stands in it twice (once a race) is summed by the product.
-        raced = results.entries >= 0
-        before = np.append(0, np.cumsum(raced.sum(axis=1)))  # cars that stood in earlier races
-        bounds = before[np.append(starts, len(results))]
-        heats = sparse.csr_array(
-            (scores[raced], results.entries[raced], bounds), shape=(len(starts), size)
-        )
-        heats.sum_duplicates()
-        return cls(
-            scores=heats,
-            prior=prior[:size],
-            border=heats.T @ by_slot,
-            corner=by_slot.T @ by_slot + np.diag(prior[size:]),
-            heats=np.bincount(heats.indices, minlength=size),
-        )
-
-    def diagonal(self) -> np.ndarray:
-        """Return the diagonal by strength, (entries,)."""
-        squares = np.bincount(self.scores.indices, self.scores.data**2, len(self.prior))
-        return squares + self.prior
-
-    def table(self, met: np.ndarray) -> np.ndarray:
-        """Return the rows and columns of some entries (indices) and of the slots, dense."""
-        scores, border = self.scores[:, met], self.border[met]
-        entries = (scores.T.tocsr() @ scores).toarray() + np.diag(self.prior[met])
-        return np.block([[entries, border], [border.T, self.corner]])
-
-    def entries_times(self, vectors: np.ndarray) -> np.ndarray:
-        """Return the product of the strengths' block with some columns, (entries, columns)."""
-        return self.scores.T @ (self.scores @ vectors) + self.prior[:, None] * vectors
-
-    def times(self, vectors: np.ndarray) -> np.ndarray:
-        """Return the product with some columns, (entries + slots, columns)."""
-        size = len(self.border)
-        entries, slots = vectors[:size], vectors[size:]
-        above = self.entries_times(entries) + self.border @ slots
-        return np.concatenate([above, self.border.T @ entries + self.corner @ slots])
 
 
 class Blocks:
@@ -193,6 +125,14 @@ class Dense:
         robust[met] = np.einsum("ij,ij->i", across[: len(met)], inverse[: len(met)])
         return model, robust
 
+    def gap(self, squares: Squares, one: int, other: int) -> tuple[float, float]:
+        """Return the model's and the robust variance of a difference of two strengths, by index."""
+        right = np.zeros((squares.size, 1))
+        right[one] += 1.0
+        right[other] -= 1.0
+        model, robust = _quadratic(self, squares, right)
+        return float(model[0]), float(robust[0])
+
 
 class Sparse:
     """H as a sparse matrix with a narrow border, solved by conjugate gradients."""
@@ -213,11 +153,12 @@ class Sparse:
         """Variance of the field as a whole, the prior's."""
         return 1.0 / self.prior[0]
 
-    def both(self) -> sparse.csr_array:
-        """Return the weights of the pairs that met in both triangles."""
+    @cached_property
+    def _both(self) -> sparse.csr_array:
+        """The weights of the pairs that met, in both triangles."""
         return (self._above + self._above.T).tocsr()
 
-    def slots_of(self, entries: np.ndarray) -> np.ndarray:
+    def _slots_of(self, entries: np.ndarray) -> np.ndarray:
         """Return corner^-1 border' times a vector of the strengths, (slots,)."""
         return np.linalg.solve(self._corner, self.border.T @ entries)
 
@@ -314,52 +255,37 @@ class Sparse:
         near = first * self._met(first * probes)  # has nothing on its diagonal
         return solved[: len(probes)] - known - near
 
+    def gap(self, squares: Squares, one: int, other: int) -> tuple[float, float]:
+        """Return the model's and the robust variance of a difference of two strengths, by index.
 
-System = Dense | Sparse
-
-
-class Gaps:
-    """Variances of differences between two strengths in a large field, one at a time.
-
-    The right side is 0 but for two entries, and so are the first steps of conjugate gradients but
-    for their opponents, and nearly so for those of these, which are left out (`SMALL`): only later
-    steps read all pairs that met. Slots are eliminated, H's Schur complement over the strengths is
-    solved.
-    """
-
-    def __init__(self, system: Sparse, squares: Squares) -> None:
-        """Prepare for some differences, which takes as long as a hundred of them."""
-        self._system, self._squares = system, squares
-        self._met = system.both()
-        self._scattered = (squares.scores.T @ squares.scores).tocsr()
-        self._least = float(system.prior.min())
-
-    def variances(self, one: int, other: int) -> tuple[float, float]:
-        """Return the model's and the robust variance of a difference, entries given by index."""
-        right = np.zeros(len(self._squares.prior))
+        The first one takes as long as a hundred more. The right side is 0 but for two entries, and
+        so are the first steps of conjugate gradients but for their opponents, and nearly so for
+        those of these, which are left out (`SMALL`): only later steps read all pairs that met.
+        Slots are eliminated, H's Schur complement over the strengths is solved.
+        """
+        right = np.zeros(len(squares.prior))
         right[one] += 1.0
         right[other] -= 1.0
-        entries, variance = self._solved(right)
-        squares = self._squares
-        slots = -self._system.slots_of(entries)
-        robust = entries @ (_times(self._scattered, entries) + squares.prior * entries)
+        entries, variance = self._solved_gap(right)
+        slots = -self._slots_of(entries)
+        robust = entries @ (_times(squares.scattered, entries) + squares.prior * entries)
         robust += slots @ (2 * squares.border.T @ entries + squares.corner @ slots)
         return variance, float(robust)
 
-    def _solved(self, right: np.ndarray) -> tuple[np.ndarray, float]:
+    def _solved_gap(self, right: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the strengths' part of H^-1 right, and its variance, right to `GAP_ERROR`.
 
         Each step goes as far as its direction allows, whatever was left out of that. A residual r
         leaves out r' H^-1 r of the variance, at most |r|^2 / (least prior), because races only add
         curvature.
         """
-        system, solved, residual, variance = self._system, np.zeros(len(right)), right.copy(), 0.0
-        diagonal = system.diagonal[: len(right)]
+        solved, residual, variance = np.zeros(len(right)), right.copy(), 0.0
+        pairs, diagonal, least = self._both, self.diagonal[: len(right)], float(self.prior.min())
         towards = scaled = residual / diagonal
         length = float(residual @ scaled)
-        while residual @ residual > GAP_ERROR * self._least * variance:
-            met = _times(self._met, towards)
-            curved = diagonal * towards - met - system.border @ system.slots_of(towards)
+        while residual @ residual > GAP_ERROR * least * variance:
+            curved = diagonal * towards - _times(pairs, towards)
+            curved = curved - self.border @ self._slots_of(towards)
             slope = float(residual @ towards)
             step = slope / float(towards @ curved)
             solved += step * towards
@@ -372,6 +298,9 @@ class Gaps:
             if large.mean() <= FEW:
                 towards = np.where(large, towards, 0.0)
         return solved, variance
+
+
+System = Dense | Sparse
 
 
 def _times(symmetric: sparse.csr_array, vector: np.ndarray) -> np.ndarray:
@@ -416,31 +345,14 @@ class Variances:
         size, slots = self._squares.border.shape
         right = np.zeros((size + slots, slots))
         right[size:] = np.eye(slots) - 1.0 / slots
-        return np.maximum(*self._quadratic(right))  # all heats contribute to the slots
+        # All heats contribute to the slots.
+        return np.maximum(*_quadratic(self._system, self._squares, right))
 
-    def gaps(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        """Return the variances of strength differences between entries, given by index."""
-        if isinstance(self._system, Dense):
-            right, column = np.zeros((self._squares.size, len(one))), np.arange(len(one))
-            np.add.at(right, (one, column), 1.0)
-            np.add.at(right, (other, column), -1.0)
-            model, robust = self._quadratic(right)
-        else:
-            pairs, gaps = zip(one.tolist(), other.tolist(), strict=True), self._gaps
-            found = [gaps.variances(*pair) for pair in pairs]
-            model, robust = np.reshape(found, (-1, 2)).T
+    def gap(self, one: int, other: int) -> float:
+        """Return the variance of the difference of two strengths, given by index."""
+        model, robust = (np.array(some) for some in self._system.gap(self._squares, one, other))
         heats = np.minimum(self._squares.heats[one], self._squares.heats[other])
-        return _blend(model, robust, heats, self._ratio)
-
-    @cached_property
-    def _gaps(self) -> Gaps:
-        assert isinstance(self._system, Sparse)
-        return Gaps(self._system, self._squares)
-
-    def _quadratic(self, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the model's and the robust variances of some combinations, one a column."""
-        solved = self._system.solve(right)
-        return (right * solved).sum(axis=0), (solved * self._squares.times(solved)).sum(axis=0)
+        return float(_blend(model, robust, heats, self._ratio))
 
     def _against(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the model's and the robust variances of each strength less a weighted average."""
@@ -456,6 +368,14 @@ class Variances:
         # all others known.
         least = (1.0 - weights) ** 2 / self._system.diagonal[: len(weights)]
         return np.maximum(model, least), robust
+
+
+def _quadratic(
+    system: System, squares: Squares, right: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the model's and the robust variances of some combinations, one a column."""
+    solved = system.solve(right)
+    return (right * solved).sum(axis=0), (solved * squares.times(solved)).sum(axis=0)
 
 
 def _blend(model: np.ndarray, robust: np.ndarray, heats: np.ndarray, ratio: float) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -128,15 +129,11 @@ class Ratings(Strengths):
     """Spreads of the field tried before the likeliest was settled."""
     posterior: Posterior = field(repr=False, compare=False)
     """What all this follows from."""
-    gap_variances: Callable[[np.ndarray, np.ndarray], np.ndarray] = field(repr=False, compare=False)
-    """Variances [Elo^2] of rating differences, from two arrays of indices into `entries`."""
+    gap_variance: Callable[[int, int], float] = field(repr=False, compare=False)
+    """Variance [Elo^2] of a difference of two ratings, from their indices."""
 
     def index(self, entry: int) -> int:
-        """Return where an entry stands in the tables.
-
-        Raises:
-            ConfigError: it is not in the field.
-        """
+        """Return where an entry stands in the tables; a ConfigError if it is not in the field."""
         place = int(np.searchsorted(self.entries, entry))
         if place >= len(self.entries) or self.entries[place] != entry:
             raise ConfigError(
@@ -153,7 +150,7 @@ class Ratings(Strengths):
         """Return how far one entry is ahead of another, with its own interval."""
         a, b = self.index(one), self.index(other)
         gap = float(self.elo[a] - self.elo[b])
-        sd = float(np.sqrt(self.gap_variances(np.array([a]), np.array([b]))[0]))
+        sd = math.sqrt(self.gap_variance(a, b))
         return Difference(
             elo=gap,
             sd=sd,

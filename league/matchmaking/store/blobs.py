@@ -105,15 +105,3 @@ class FolderBlobs:
         if len(digest) != 64 or not set(digest) <= set("0123456789abcdef"):
             raise StoreError(f"{digest[:70]!r} names no file: give 64 hexadecimal digits")
         return f"{self._root}/{digest[:2]}/{digest}"
-
-
-class BlobStore(Transactional):
-    """The part of a Store that is about files."""
-
-    _blobs_url: str
-    """Directory or bucket that they are in; empty for the database itself."""
-
-    @property
-    def blobs(self) -> TableBlobs | FolderBlobs:
-        """Where weights and recordings are kept."""
-        return FolderBlobs(self._blobs_url) if self._blobs_url else TableBlobs(self._database)

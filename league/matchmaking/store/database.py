@@ -194,16 +194,15 @@ class Database:
             ) from refusal
 
 
-def made_of(cls: type[_Data], row: Any, **given: object) -> _Data:  # noqa: ANN401
+def made_of(cls: type[_Data], row: sa.Row[Any], **given: object) -> _Data:
     """Return frozen data with the fields of a row, apart from those that are given."""
-    known = row._mapping
     names = [name for name in cls.__dataclass_fields__ if name not in given]
-    return cls(**{name: known[name] for name in names}, **given)
+    return cls(**{name: getattr(row, name) for name in names}, **given)
 
 
 def chunked(
     connection: sa.Connection,
-    query: Any,  # noqa: ANN401
+    query: sa.Select[*tuple[Any, ...]],
     column: sa.ColumnElement[Any],
     values: list[Any],
 ) -> list[Any]:

@@ -13,7 +13,7 @@ import sqlalchemy as sa
 from league.errors import QuotaError, StoreError, brief, nearest_names
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store import records, schema
-from league.matchmaking.store.blobs import BlobStore, FolderBlobs, insert_blob
+from league.matchmaking.store.blobs import FolderBlobs, insert_blob
 from league.matchmaking.store.database import chunked, made_of
 from league.matchmaking.store.names import check_name, looks
 from league.matchmaking.store.queue import cancel, entry_numbers, of_entry
@@ -29,7 +29,7 @@ USED_EVERY_S = 3600.0
 """How exactly the last use is noted [s]: a write for every request would be too many."""
 
 
-class EntryStore(BlobStore):
+class EntryStore(schema.Transactional):
     """The part of a Store that is about entries."""
 
     def submit(
@@ -55,7 +55,7 @@ class EntryStore(BlobStore):
             FolderBlobs(self._blobs_url).put(weights)
         blob = heat_spec.digest(weights or b"")
         card = {**(card or {}), **({"driver": scripted} if scripted else {"blob": blob})}
-        id = heat_spec.scripted_id(scripted) if scripted else id or blob
+        id = heat_spec.digest(f"scripted driver {scripted}".encode()) if scripted else id or blob
         kind = "policy" if scripted is None else "scripted"
         query = with_owners().where(entries.c.id == id)
         with self._writing(lock=True) as change:
@@ -218,10 +218,10 @@ def check_quota(change: Change, owner: str, quota: Quota) -> None:
         )
 
 
-def ledger_record(row: Any) -> LedgerRecord:  # noqa: ANN401
+def ledger_record(row: sa.Row[Any]) -> LedgerRecord:
     """Return what the ledger records of an entry at its submission: all that never changes."""
     names = ("number", "name", "owner_name", "kind", "anchor", "card", "created_s")
-    return LedgerRecord("entry", row.id, [row._mapping[name] for name in names])
+    return LedgerRecord("entry", row.id, [getattr(row, name) for name in names])
 
 
 def with_owners(table: sa.Table = entries) -> sa.Select[Any]:
@@ -231,7 +231,7 @@ def with_owners(table: sa.Table = entries) -> sa.Select[Any]:
     )
 
 
-def _entry(row: Any) -> LeagueEntry:  # noqa: ANN401
+def _entry(row: sa.Row[Any]) -> LeagueEntry:
     return made_of(LeagueEntry, row, owner=row.owner_name, card=json.loads(row.card))
 
 
@@ -323,5 +323,5 @@ def _hash(secret: str) -> str:
     return heat_spec.digest(secret.encode("utf-8", "replace"))
 
 
-def _token(row: Any) -> Token:  # noqa: ANN401
+def _token(row: sa.Row[Any]) -> Token:
     return made_of(Token, row, owner=row.owner_name, scopes=tuple(row.scopes.split()))

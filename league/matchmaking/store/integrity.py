@@ -17,15 +17,7 @@ from league.matchmaking.store import entries, results, schema, seasons
 from league.matchmaking.store.database import chunked
 from league.matchmaking.store.queue import heat_in, with_rules
 from league.matchmaking.store.results import PackedResult
-from league.matchmaking.store.schema import (
-    Change,
-    LedgerRecord,
-    heats,
-    ledger,
-    link,
-    races,
-    rulesets,
-)
+from league.matchmaking.store.schema import Change, LedgerRecord, heats, ledger, races, rulesets
 
 BLOCK = 2000
 """Heats, or records of the ledger, checked at a time."""
@@ -118,7 +110,7 @@ def _result_records(connection: sa.Connection, numbers: list[int]) -> Iterator[L
         yield results.ledger_record(row.key, row._mapping)
 
 
-def _check_record(found: Integrity, row: Any, now: dict[tuple[str, str], Any]) -> None:  # noqa: ANN401
+def _check_record(found: Integrity, row: sa.Row[Any], now: dict[tuple[str, str], Any]) -> None:
     """Check that a record of the ledger follows from the one before and from what tables hold."""
     what = f"record {row.number} of the ledger ({row.kind} {row.subject[:24]})"
     if row.number != found.records + 1:
@@ -126,7 +118,7 @@ def _check_record(found: Integrity, row: Any, now: dict[tuple[str, str], Any]) -
     known = (row.kind, row.subject)
     if row.kind not in ("settle", "state", "present") and known not in now:
         found.mismatches.append(f"{what}: what it records was deleted")
-    elif link(found.head, LedgerRecord(*known, now.get(known))) != row.chain:
+    elif schema.link(found.head, LedgerRecord(*known, now.get(known))) != row.chain:
         found.mismatches.append(
             f"{what}: what it records was changed, or a record before it inserted or deleted"
         )
@@ -188,7 +180,7 @@ def _check_heats(
 
 def _check_races(
     found: Integrity,
-    row: Any,  # noqa: ANN401
+    row: sa.Row[Any],
     stored: list[Any],
     counted: list[Any],
     tracks: dict[int, tuple[str, ...]],
@@ -216,7 +208,7 @@ def _check_races(
     found.races += len(expected)
 
 
-def _read(found: Integrity, row: Any) -> PackedResult | None:  # noqa: ANN401
+def _read(found: Integrity, row: sa.Row[Any]) -> PackedResult | None:
     """Return what the standings use of a result's document; None if it is not the one that came."""
     try:
         text = zlib.decompress(row.document)

@@ -44,8 +44,6 @@ STATES = (
 class QueueStore(schema.Transactional):
     """The part of a Store that is about heats and their queue."""
 
-    _secret: bytes
-    """The league's, which makes the seeds."""
     _entry_ids: dict[int, str]
     """Ids of entries by their numbers; they never change."""
 
@@ -240,10 +238,9 @@ class QueueStore(schema.Transactional):
             ids = connection.execute(sa.select(entries.c.number, entries.c.id))
             self._entry_ids.update(map(tuple, ids))
         rows.sort(key=lambda row: row[0].number)
-        return [self._record(row, halves) for row, halves in rows]
+        return [self._record(row, heat_in(row, halves, self._entry_ids)) for row, halves in rows]
 
-    def _record(self, row: Any, halves: list[Any]) -> HeatRecord:  # noqa: ANN401
-        heat = heat_in(row, halves, self._entry_ids)
+    def _record(self, row: sa.Row[Any], heat: Heat) -> HeatRecord:
         vars(heat)["key"] = row.key  # computed when it was planned; Store.verify computes it again
         is_public = row.state in ("done", "quarantined")
         seeds = self.seeds(heat) if is_public else None
@@ -283,7 +280,7 @@ def _asked(given: frozenset[str], *, newest: bool) -> sa.Select[Any]:
     return query.limit(sa.bindparam("limit")) if "limit" in given else query
 
 
-def heat_in(row: Any, halves: list[Any], id_of: Mapping[int, str]) -> Heat:  # noqa: ANN401
+def heat_in(row: sa.Row[Any], halves: list[Any], id_of: Mapping[int, str]) -> Heat:
     """Return the heat in a row of `with_rules`, with the ids of entries (given by number)."""
     races = tuple(Half(track, tuple([id_of[number] for number in grid])) for track, grid in halves)
     return Heat(row.rules, races, row.draw, row.purpose, row.audited_key or "")

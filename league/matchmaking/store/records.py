@@ -49,28 +49,35 @@ class LeagueSettings:
 
 
 @dataclass(frozen=True)
-class Season:
-    """A part of a league's races with standings of its own."""
+class Contest:
+    """What seasons and cups have in common."""
 
     number: int
     """From 1."""
     name: str
-    ruleset: str
-    """Hash of the rules it is raced by."""
     seed: int
     """What is drawn in it follows from this."""
     settings: Mapping[str, Any]
-    """See divisions.SeasonSettings."""
+    """Of a season see divisions.SeasonSettings; of a cup ids of the `entrants`, hashes of the rules
+    of `qualifying` and `knock_out`."""
+    started_s: float
+    """[s since 1970]."""
+    ended_s: float | None
+    """When its standings or bracket were frozen [s since 1970]; None before."""
+    hash: str
+    """SHA-256 of what they were frozen as; empty before."""
+
+
+@dataclass(frozen=True)
+class Season(Contest):
+    """A part of a league's races with standings of its own."""
+
+    ruleset: str
+    """Hash of the rules it is raced by."""
     after: int
     """Its heats have larger numbers than this."""
     until: int | None
     """Number of its last heat; None while it is running."""
-    started_s: float
-    """[s since 1970]."""
-    ended_s: float | None
-    """When its standings were frozen [s since 1970]; None before."""
-    hash: str
-    """SHA-256 of what they were frozen as; empty before."""
 
     def has(self, heat: np.ndarray) -> np.ndarray:
         """Return which heats (numbers) are among its own."""
@@ -78,24 +85,11 @@ class Season:
 
 
 @dataclass(frozen=True)
-class Cup:
+class Cup(Contest):
     """A knock-out competition that counts for no rating."""
 
-    number: int
-    """From 1."""
-    name: str
     season: int | None
     """Number of the season it was begun in; None for none."""
-    seed: int
-    """What is drawn in it follows from this."""
-    settings: Mapping[str, Any]
-    """Ids of the `entrants`, hashes of the rules of `qualifying` and `knock_out`."""
-    started_s: float
-    """[s since 1970]."""
-    ended_s: float | None
-    """When its bracket was frozen [s since 1970]; None before."""
-    hash: str
-    """SHA-256 of what it was frozen as; empty before."""
 
 
 class Move(NamedTuple):
@@ -206,7 +200,7 @@ class RaceOutcome:
     @cached_property
     def hash(self) -> str:
         """SHA-256 of places and result."""
-        return heat_spec.result_hash({"places": self.places, "result": self.result})
+        return heat_spec.digest(heat_spec.canonical({"places": self.places, "result": self.result}))
 
 
 @dataclass(frozen=True)
@@ -259,8 +253,6 @@ class HeatRecord:
     """Seed of each race; secret (None) until the heat is over, but for its worker."""
     traceback: str = ""
     """Of the last failure."""
-    created_s: float = 0.0
-    """When it was planned [s since 1970]."""
     claimed_s: float | None = None
     """When its worker took it [s since 1970]; None before, and in heats of older versions."""
     done_s: float | None = None

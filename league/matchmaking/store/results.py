@@ -13,7 +13,8 @@ import sqlalchemy as sa
 
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.store.blobs import BlobStore, FolderBlobs, insert_blob
+from league.matchmaking.store import schema
+from league.matchmaking.store.blobs import FolderBlobs, insert_blob
 from league.matchmaking.store.database import asked_for, chunked, made_of
 from league.matchmaking.store.queue import BATCH, check_worker, unknown_heat
 from league.matchmaking.store.race_table import NO_TRACK, driven, packed, runs_of
@@ -28,7 +29,7 @@ OF_HEATS = (
 """Selects the results of some heats; made once, which takes as long as to ask."""
 
 
-class ResultStore(BlobStore):
+class ResultStore(schema.Transactional):
     """The part of a Store that is about results."""
 
     def complete(self, worker: str, outcomes: Sequence[HeatOutcome]) -> Received:
@@ -167,11 +168,7 @@ def _take_in(
 
 
 def _judge(
-    intake: _Intake,
-    row: Any,  # noqa: ANN401
-    sent: Sequence[PackedResult],
-    worker: str,
-    now: float,
+    intake: _Intake, row: sa.Row[Any], sent: Sequence[PackedResult], worker: str, now: float
 ) -> str:
     """Note what one heat's results change; return the name of a field of Received."""
     _check_places(row, sent)
@@ -223,7 +220,7 @@ def _judge(
     return "accepted"
 
 
-def _check_places(row: Any, sent: Sequence[PackedResult]) -> None:  # noqa: ANN401
+def _check_places(row: sa.Row[Any], sent: Sequence[PackedResult]) -> None:
     cars = [len(grid) for _, grid in json.loads(row.halves)]
     sent_cars = [len(one.places) for one in sent]
     if sent_cars != cars:
@@ -239,9 +236,7 @@ def _check_places(row: Any, sent: Sequence[PackedResult]) -> None:  # noqa: ANN4
 
 
 def race_rows(
-    tracks_of: Mapping[int, tuple[str, ...]],
-    row: Any,  # noqa: ANN401
-    sent: Sequence[PackedResult],
+    tracks_of: Mapping[int, tuple[str, ...]], row: sa.Row[Any], sent: Sequence[PackedResult]
 ) -> list[dict[str, Any]]:
     """Return the rows of `races` that follow from a heat's row and its results."""
     tracks, rows = tracks_of[row.ruleset], []

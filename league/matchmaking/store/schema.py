@@ -332,6 +332,11 @@ def changing(database: Database, *, lock: bool = False) -> Generator[Change]:
 class Transactional:
     """What the parts of a Store have in common: a database, and transactions that write to it."""
 
+    _secret: bytes
+    """The league's, which makes the seeds."""
+    _blobs_url: str
+    """Directory or bucket that files are in; empty for the database itself."""
+
     def __init__(self, database: Database) -> None:
         self._database = database
 

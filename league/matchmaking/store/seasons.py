@@ -24,9 +24,6 @@ _Contest = TypeVar("_Contest", Season, Cup)
 class SeasonStore(schema.Transactional):
     """The part of a Store that is about seasons, divisions and cups."""
 
-    _secret: bytes
-    """The league's, which makes the seeds."""
-
     def seasons(self) -> list[Season]:
         """Return all seasons, the first one first; a league without any is one all its life."""
         with self._database.reading() as connection:

@@ -21,7 +21,7 @@ from league.matchmaking.store import (
     schema,
     seasons,
 )
-from league.matchmaking.store.blobs import FolderBlobs
+from league.matchmaking.store.blobs import FolderBlobs, TableBlobs
 from league.matchmaking.store.database import Database
 from league.matchmaking.store.entries import EntryStore, Tokens
 from league.matchmaking.store.integrity import Integrity
@@ -60,7 +60,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
             self._database.close()
             raise
         self._secret, self._entry_ids = row.secret, dict[int, str]()
-        self._blobs_url: str = row.blobs
+        self._blobs_url = row.blobs
 
     def __enter__(self) -> Self:
         return self
@@ -119,6 +119,11 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
             cancelled = queue.cancel(change, others)
             change.log("league", "rules", ruleset.hash, cancelled=cancelled)
             return cancelled
+
+    @property
+    def blobs(self) -> TableBlobs | FolderBlobs:
+        """Where weights and recordings are kept."""
+        return FolderBlobs(self._blobs_url) if self._blobs_url else TableBlobs(self._database)
 
     @property
     def tokens(self) -> Tokens:

@@ -20,7 +20,7 @@ from multiprocessing.process import BaseProcess
 from typing import Any, Generic, Literal, TypeVar
 
 from league import subprocesses
-from league.errors import ConfigError, brief
+from league.errors import ConfigError
 from league.matchmaking.workers.worker import JOB_LIMIT_S, HeatJob, HeatReport, RaceWorker
 
 WORKERS_PER_CORE = 4
@@ -315,8 +315,4 @@ def make_executor(name: Literal["processes", "ray"], num_workers: int) -> Execut
             f"{num_workers} workers were asked for: give 1 to {most} (this machine has {cores} "
             "cores, and each worker takes one)"
         )
-    if name == "processes":
-        return ProcessExecutor(num_workers)
-    if name == "ray":
-        return RayExecutor(num_workers)
-    raise ConfigError(f"there is no executor {brief(name)}: give processes or ray")
+    return RayExecutor(num_workers) if name == "ray" else ProcessExecutor(num_workers)

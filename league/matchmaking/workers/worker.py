@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import platform
 import struct
@@ -15,7 +14,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from league.errors import ConfigError
-from league.matchmaking.pairing.heat_spec import Half, Ruleset
+from league.matchmaking.pairing.heat_spec import Half, Ruleset, digest
 from league.matchmaking.store.records import HeatOutcome, RaceOutcome
 from league.sim import PHYSICS
 
@@ -140,8 +139,8 @@ class RaceWorker:
         rules, track = job.ruleset, self._track(half.track)
         grid, entries = [job.drivers[id] for id in half.grid], list[dict[str, str]]()
         for driver in grid:
-            digest = "" if driver.scripted else self._checkpoint(driver).digest
-            entries.append({"name": driver.name, "digest": digest})
+            weights = "" if driver.scripted else self._checkpoint(driver).digest
+            entries.append({"name": driver.name, "digest": weights})
         given = {name: getattr(rules, name) for name in SPEC_FIELDS}
         spec = checked({**given, "track": track.name, "seed": seed, "entries": entries})
         car = race.sim_config(spec).car
@@ -178,7 +177,7 @@ def race_outcome(replay: Replay, recording: bytes | None) -> RaceOutcome:
         for car in document["order"]:
             del car["touches"]
     document["faults"] = sum(event.kind == "driver_fault" for event in result.events)
-    document["trace"] = hashlib.sha256(replay.columns.checksum.astype("<u4").tobytes()).hexdigest()
+    document["trace"] = digest(replay.columns.checksum.astype("<u4").tobytes())
     return RaceOutcome(places=places(result), result=document, replay=recording)
 
 
@@ -213,7 +212,7 @@ def machine_class() -> str:
     """
     answers = [function(n / 4096) for n in range(-4095, 4096) for function in _FUNCTIONS]
     answers += [math.atan2(n / 64, 1 - n / 97) for n in range(4096)]
-    libm = hashlib.sha256(struct.pack(f"<{len(answers)}d", *answers)).hexdigest()[:12]
+    libm = digest(struct.pack(f"<{len(answers)}d", *answers))[:12]
     return f"{platform.machine()} pybullet:{_pybullet()} libm:{libm}"[:200]
 
 
@@ -221,5 +220,5 @@ def _pybullet() -> str:
     """Return a hash of PyBullet's machine code as its installer recorded it, or its version."""
     for file in metadata.files("pybullet") or ():
         if len(file.parts) == 1 and file.name.startswith("pybullet.") and file.hash:
-            return hashlib.sha256(file.hash.value.encode()).hexdigest()[:12]
+            return digest(file.hash.value.encode())[:12]
     return metadata.version("pybullet")

@@ -12,13 +12,15 @@ import numpy as np
 
 from league.errors import StoreError
 from league.matchmaking import standings
-from league.matchmaking.history import HistoryPoint, history, own_history
 from league.matchmaking.pairing import matchmaker
 from league.matchmaking.ratings.table import Strengths
 from league.matchmaking.scores import (
+    HistoryPoint,
     RaceScore,
     final_ratings,
     heat_scores,
+    history,
+    own_history,
     race_scores,
     scores_by_season,
 )

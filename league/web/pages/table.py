@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
-from league.matchmaking import divisions, history, safety, standings
+from league.matchmaking import divisions, safety, scores, standings
 from league.matchmaking.scope import SEASON_SD
 from league.matchmaking.standings import HeadToHead, Row, Standings
 from league.web import charts
@@ -221,6 +221,6 @@ def definitions(reader: Reader) -> Document:
         "safety_best": safety.BEST,
         "safety_corners": safety.ENOUGH_CORNERS,
         "season_sd": SEASON_SD,
-        "trend_heats": history.TREND_HEATS,
+        "trend_heats": scores.TREND_HEATS,
         "medals": MEDALS,
     }

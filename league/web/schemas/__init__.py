@@ -6,10 +6,9 @@ Answers are plain data; tests/web/test_web_schema.py checks real ones against th
 from pydantic import ConfigDict
 
 from league.matchmaking.divisions import SeasonSettings
-from league.matchmaking.history import HistoryPoint
 from league.matchmaking.ratings.table import Difference
 from league.matchmaking.safety import Safety
-from league.matchmaking.scores import BestLap
+from league.matchmaking.scores import BestLap, HistoryPoint
 from league.matchmaking.seasons import Trophy
 from league.matchmaking.standings import HeadToHead, Row
 from league.matchmaking.store import Cup, LeagueEntry, Season

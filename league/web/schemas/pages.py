@@ -6,8 +6,8 @@ The pages return plain data; tests/web/test_web_schema.py checks real answers ag
 from __future__ import annotations
 
 from league.matchmaking.divisions import SeasonSettings
-from league.matchmaking.history import HistoryPoint
 from league.matchmaking.ratings.table import Difference
+from league.matchmaking.scores import HistoryPoint
 from league.matchmaking.standings import HeadToHead, Row
 from league.matchmaking.store import EntryState, HeatState, LeagueEntry, Season
 from league.sim.config import RaceKind
