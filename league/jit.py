@@ -162,7 +162,7 @@ class _PartCompiler(Compiler):
 
 
 class _ScalarLibrary(JITCodeLibrary):
-    """The code of a function whose loops LLVM leaves as they are."""
+    """Code in which LLVM leaves loops as they are."""
 
     def _optimize_final_module(self) -> None:
         options: Any = config
@@ -174,7 +174,7 @@ class _ScalarLibrary(JITCodeLibrary):
 
 
 class _ScalarCompiler(Compiler):
-    """Numba's compiler, for a function whose loops are over records."""
+    """Numba's compiler, for loops over records."""
 
     def define_pipelines(self) -> Any:  # noqa: ANN401
         state: Any = self.state
