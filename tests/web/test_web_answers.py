@@ -212,14 +212,14 @@ def test_a_fit_waits_until_the_first_answers_of_a_crowd_are_made(league, monkeyp
         time.sleep(0.01)
 
 
-def test_likely_pages_are_made_while_nobody_waits(league, making, monkeypatch):
+def test_likely_pages_are_made_while_no_visitor_waits(league, making, monkeypatch):
     may, made = making
     monkeypatch.setattr(answers, "MOST", 100)
     for module in (answers, reader):
         monkeypatch.setattr(module, "FRESH_S", 0.0)
         monkeypatch.setattr(module, "REST", 0.0)
     app, give_up = make_app(league), time.monotonic() + 120
-    assert not app.prepare()  # nobody has asked yet, and how the pages are reached is not known
+    assert not app.prepare()  # before the first request the server does not know its own address
     with TestClient(app, base_url=ORIGIN) as pages, TestClient(make_app(league)) as anew:
         assert pages.get("/heats").status_code == 200
         while app.prepare():
