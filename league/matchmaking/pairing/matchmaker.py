@@ -190,7 +190,8 @@ class Matchmaker:
         if not self._latest.number:
             since = max(0, sum(self._store.counts().values()) - LOOK_BACK)
         heats = _season_heats(self._store.heats(since=since), ruleset)
-        heats = heats or _season_heats(self._store.heats(), ruleset)
+        if not heats and since > 0 and not self._latest.number:
+            heats = _season_heats(self._store.heats(), ruleset)
         if not heats:
             return _Round()
         number = max(_round(record) for record in heats)
