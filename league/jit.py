@@ -152,17 +152,12 @@ class _PartLibrary(JITCodeLibrary):
         self._finalized = True
 
 
-class _PartCompiler(Compiler):
-    """Numba's compiler, for a function that only compiled functions call."""
-
-    def define_pipelines(self) -> Any:  # noqa: ANN401
-        state: Any = self.state
-        state.library = _PartLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
-        return super().define_pipelines()
-
-
 class _ScalarLibrary(JITCodeLibrary):
-    """Code in which LLVM leaves loops as they are."""
+    """Code in which LLVM leaves loops as they are; it is kept on disk."""
+
+    def __init__(self, *arguments: Any) -> None:  # noqa: ANN401
+        super().__init__(*arguments)
+        self.enable_object_caching()
 
     def _optimize_final_module(self) -> None:
         options: Any = config
@@ -173,14 +168,23 @@ class _ScalarLibrary(JITCodeLibrary):
             options.LOOP_VECTORIZE = usual
 
 
-class _ScalarCompiler(Compiler):
-    """Numba's compiler, for loops over records."""
+class _LibraryCompiler(Compiler):
+    """Numba's compiler, with another library for the code of a function."""
+
+    library: type[JITCodeLibrary]
 
     def define_pipelines(self) -> Any:  # noqa: ANN401
         state: Any = self.state
-        state.library = _ScalarLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
-        state.library.enable_object_caching()
+        state.library = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
         return super().define_pipelines()
+
+
+class _PartCompiler(_LibraryCompiler):
+    library = _PartLibrary
+
+
+class _ScalarCompiler(_LibraryCompiler):
+    library = _ScalarLibrary
 
 
 _ENTRY: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
