@@ -28,13 +28,14 @@ NAMES = (
     "web",
     "league_throughput",
     "training",
+    "cuda",
     "first_minute",
     "garage",
     "racing",
     "mutants",
 )
-BY_NAME_ONLY = ("mutants", "first_minute")
-"""Run only when they are named: each takes half an hour."""
+BY_NAME_ONLY = ("mutants", "first_minute", "cuda")
+"""Run only when they are named: two take half an hour each, one needs a GPU."""
 PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 INTRODUCTION = """# Benchmarks
 

@@ -1,17 +1,23 @@
 """A learner on another device: its tensors never meet the CPU's, and it sees the same bits.
 
-The worlds stay on the CPU; states are copied, cameras are cast over there. No accelerator is
-needed: one is pretended. Its tensors hold real numbers on the CPU, say that they lie elsewhere, and
-refuse what a real device refuses. It cannot tell whether a real one has all operations and which
-bits they give.
+The worlds stay on the CPU; states are copied, cameras are cast over there. Most tests pretend an
+accelerator: its tensors hold real numbers on the CPU, say that they lie elsewhere, and refuse what
+a real device refuses. It cannot tell whether a real one has all operations and which bits they
+give: the last tests, which are skipped without CUDA, can.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -19,13 +25,23 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig
-from league.sim.config import CameraConfig, LidarConfig, SensorConfig, SimConfig
+from league.sim.camera.raycast import RayRenderer
+from league.sim.config import (
+    CameraConfig,
+    LidarConfig,
+    SensorConfig,
+    SimConfig,
+    VisualRandomization,
+)
 from league.track.track import TrackSet
 from league.training.ppo.statistics import EpisodeStatistics
 from tests.scenes import make_ring
+from tests.sim import looking
+from tests.training import learners
 
 RING = make_ring(points=120)
 TWO = SimConfig(kind="head_to_head", num_cars=2)
+GPU = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA on this machine")
 ELSEWHERE = "lazy"
 """A device of torch's own that CPU builds know by name, and that nothing else here uses."""
 _INDEXED = (torch.ops.aten.index.Tensor, torch.ops.aten.index_put_.default)
@@ -212,3 +228,70 @@ def test_episodes_are_told_of_rows_of_another_device():
 
     with pretending():
         assert run(ELSEWHERE) == run("cpu")
+
+
+@GPU
+@pytest.mark.parametrize("colour", [False, True])
+@pytest.mark.parametrize("looks", [None, VisualRandomization(light=0.3, colour=0.3, noise=8.0)])
+def test_pictures_cast_on_a_gpu_are_those_cast_on_the_cpu(colour, looks):
+    tracks = looking.room(half=3.0)
+    now = looking.random_scenes(tracks, 24, seed=1)
+    parts = (tracks, looking.settings(now.num_cars), CameraConfig(colour=colour), looks)
+    here = RayRenderer(*parts).render(now, 0)
+    there = torch.as_tensor(RayRenderer(*parts, device="cuda").render(now, 0))
+    assert there.device.type == "cuda"
+    off = np.abs(there.cpu().numpy().astype(int) - here)
+    assert here.std() > 10
+    # Other roundings move an edge by a pixel now and then.
+    assert (off > 1).mean() < 1e-4
+
+
+@GPU
+@pytest.mark.parametrize("sim", [SimConfig(), TWO])
+def test_worlds_hand_the_same_bits_to_a_gpu(sim):
+    sensors = (SensorConfig(lidar=LidarConfig(rate_hz=10.0)),)
+    there = list(tensors(drive("cuda", sim=sim, sensors=sensors)))
+    assert {one.device.type for one in there} == {"cuda"}
+    for one, other in zip(there, tensors(drive("cpu", sim=sim, sensors=sensors)), strict=True):
+        assert torch.equal(one.cpu(), other)
+
+
+def learnt(first: int, state: Path) -> dict[str, np.ndarray]:
+    """Learn on the GPU from one update to the fourth; the state after the second is kept."""
+    made = learners.learner(dataclasses.replace(learners.settings(), device="cuda"))
+    if first:
+        made.restore(state)
+    for number in range(first, 4):
+        made.update(number / 4)
+        if number == 1:
+            made.save(state, {})
+    assert next(iter(made._learnt().values())).device.type == "cuda"
+    return dict(made.weights())
+
+
+@GPU
+def test_a_run_on_a_gpu_can_be_repeated_and_resumed(tmp_path):
+    whole, again, resumed = (learnt(first, tmp_path / "state.pt") for first in (0, 0, 2))
+    assert learners.same(whole, again)
+    assert learners.same(whole, resumed)
+
+
+@GPU
+@pytest.mark.parametrize("launcher", [(), ("-m", "torch.distributed.run", "--nproc-per-node", "1")])
+def test_a_policy_trained_on_a_gpu_races_on_the_cpu(tmp_path, launcher):
+    policy = tmp_path / "policy.pt"
+    train = [
+        *("-m", "league.cli", "train", "--device", "cuda", "--num-worlds", "16"),
+        *("--steps", "4096", "--out", str(policy), "--plain", "--no-tensorboard"),
+    ]
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+    for command in ([*launcher, *train], ["-m", "league.cli", "race", str(policy), "--laps", "1"]):
+        done = subprocess.run(
+            [sys.executable, *command],
+            env=environment,
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr

@@ -13,7 +13,7 @@ import pytest
 LEAGUE = Path(__file__).parents[1] / "league"
 LAYERS = {
     "league": 1, "errors": 1, "atomic_file": 1, "jit": 1, "portable_math": 1, "subprocesses": 1,
-    "times": 1,
+    "threads": 1, "times": 1,
     "figures": 2, "track": 2,
     "sim": 3,
     "race_spec": 4, "racing_line": 4,

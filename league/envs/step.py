@@ -7,10 +7,7 @@ happened in the step. Bullet, and rewards written in Python, take the stages apa
 """
 
 import math
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 
 import numpy as np
 
@@ -20,6 +17,7 @@ from league.jit import compiled, inner
 from league.portable_math import f32
 from league.sim import grid, referee
 from league.sim.physics import planar
+from league.threads import shared_out
 
 PREPARE, PHYSICS, JUDGE, SETTLE = 1, 2, 4, 8
 """Phases of a step: read the actions; move the cars; judge and pay; penalties or new episodes."""
@@ -230,30 +228,5 @@ CARS_PER_THREAD = 256  # fewest cars that are worth another thread
 def over_worlds(
     loop: Callable[..., int], num_worlds: int, num_cars: int, *arguments: object
 ) -> int:
-    """Run a compiled loop over all worlds; return its first result that is not 0, else 0.
-
-    It takes the first world, the world behind the last one, and the arguments. Many worlds are
-    shared out among Python threads: compiled code releases the interpreter, and they survive a
-    fork, unlike OpenMP's. Results do not depend on their number.
-    """
-    if num_worlds * num_cars < 2 * CARS_PER_THREAD or (threads := num_threads()) == 1:
-        return loop(0, num_worlds, *arguments)
-    threads = min(threads, num_worlds, num_worlds * num_cars // CARS_PER_THREAD)
-    bounds = [num_worlds * part // threads for part in range(threads + 1)]
-    pool = _pool(os.getpid(), num_threads())
-    parts = [
-        pool.submit(loop, bounds[part], bounds[part + 1], *arguments) for part in range(1, threads)
-    ]
-    results = [loop(bounds[0], bounds[1], *arguments), *(part.result() for part in parts)]
-    return next((result for result in results if result), 0)
-
-
-def num_threads() -> int:
-    """Return how many threads may work: OMP_NUM_THREADS, or the processors of this process."""
-    limit = os.environ.get("OMP_NUM_THREADS", "")
-    return int(limit) if limit.isdigit() and int(limit) > 0 else len(os.sched_getaffinity(0))
-
-
-@cache
-def _pool(process: int, size: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(size, thread_name_prefix="worlds")
+    """Run a compiled loop over all worlds, many of them on several threads; see `shared_out`."""
+    return shared_out(loop, num_worlds, max(1, CARS_PER_THREAD // num_cars), *arguments)

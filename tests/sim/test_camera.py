@@ -42,6 +42,17 @@ def test_lens_has_the_focal_length_and_horizon_of_the_original():
     assert lens.horizon(math.radians(15)) == pytest.approx(25.69, abs=0.01)
 
 
+def test_pictures_do_not_depend_on_the_number_of_threads(monkeypatch):
+    tracks = room(half=3.0)
+    now = random_scenes(tracks, 12, seed=4)
+    found = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("OMP_NUM_THREADS", threads)
+        found.append(pictures(PaintRenderer, now, tracks))
+    assert found[0].std() > 10
+    assert np.array_equal(*found)
+
+
 @pytest.mark.parametrize("renderer", RENDERERS)
 def test_foot_of_a_box_straight_ahead_is_at_the_hand_worked_row(renderer):
     # The camera is 0.145 m ahead of the base and 0.13 m up; the near face is 1 m farther: depth

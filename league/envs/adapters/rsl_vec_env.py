@@ -213,9 +213,9 @@ class RacingVecEnv(VecEnv):
 
     def _stacked(self, groups: list[np.ndarray]) -> Tensor:
         """Return one group of all rows: a copy, because the environment overwrites its own."""
-        # Ray-cast pictures are tensors on their device already.
-        parts = [torch.as_tensor(group) for group in groups]
-        return torch.stack(parts, dim=1).flatten(0, 1).to(self.device)
+        # Stacked over there: ray-cast pictures are on their device already.
+        parts = [torch.as_tensor(group).to(self.device) for group in groups]
+        return torch.stack(parts, dim=1).flatten(0, 1)
 
     def _log(self, step: Step) -> dict[str, Tensor]:
         seen = step.verdicts

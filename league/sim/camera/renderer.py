@@ -21,10 +21,13 @@ from league.sim.camera.tables import MOST_CORNERS, Floor, Models, Optics
 from league.sim.camera.visual_randomization import Look
 from league.sim.config import CameraConfig, SimConfig, VisualRandomization
 from league.sim.records import World
+from league.threads import shared_out
 from league.track.track import Rgb, TrackSet
 
 _WHEN_FAR = {scene.CAR: scene.FAR_CAR}
 _MAX_STEERING = math.radians(30)
+PIXELS_PER_THREAD = 1 << 16
+"""Fewest bytes of pictures that are worth another thread."""
 _TOUCH = 1e-6  # solids nearer than this touch each other [m]
 _FLAT_RUBBER = len(scene.PAINTS)  # the paint of a wheel's tread: round, so no one light fits it
 
@@ -82,13 +85,12 @@ class PaintRenderer(Renderer):
         return Painter(self._lens, gray=not self._camera.colour, sky=self._sky)
 
     def _draw(self, state: SceneState, car: int, look: Look | None) -> np.ndarray:
-        cfg, painter = self._camera, self._painter
+        cfg = self._camera
         poses, things = state.tables(car, mount_of(cfg), gray=not cfg.colour)
         shape = (len(poses), cfg.num_eyes, cfg.height, cfg.width)
         pictures = np.empty((*shape, 3) if cfg.colour else shape, np.uint8)
         for track in set(state.track.tolist()):
-            rows = np.flatnonzero(state.track == track)
-            painter.paint(rows, pictures, poses, things, self._floor(track))
+            self._paint(np.flatnonzero(state.track == track), pictures, poses, things, track)
         if look is not None:
             for row, picture in enumerate(pictures):
                 visual_randomization.develop(picture, look, row)
@@ -96,6 +98,23 @@ class PaintRenderer(Renderer):
             channels_first = pictures.transpose(0, 1, 4, 2, 3)  # (rows, eyes, 3, height, width)
             pictures = np.ascontiguousarray(channels_first).reshape(-1, *cfg.shape)
         return pictures
+
+    def _paint(
+        self,
+        rows: np.ndarray,
+        pictures: np.ndarray,
+        poses: np.ndarray,
+        things: np.ndarray,
+        track: int,
+    ) -> None:
+        """Paint the pictures of the rows, which are on one track; many on several threads."""
+        floor = self._floor(track)
+
+        def some(start: int, stop: int) -> int:
+            self._painter.paint(rows[start:stop], pictures, poses, things, floor)
+            return 0
+
+        shared_out(some, len(rows), max(1, PIXELS_PER_THREAD // pictures[0].size))
 
 
 class Painter:

@@ -1,0 +1,29 @@
+"""Rows shared out among threads: each once, and few of them on one thread."""
+
+import threading
+
+import pytest
+
+from league.threads import shared_out
+
+
+@pytest.mark.parametrize(
+    ("num_rows", "threads", "parts"), [(0, 3, 1), (19, 3, 1), (20, 3, 2), (31, 3, 3), (99, 1, 1)]
+)
+def test_each_row_is_worked_on_once(monkeypatch, num_rows, threads, parts):
+    monkeypatch.setenv("OMP_NUM_THREADS", str(threads))
+    barrier, done = threading.Barrier(parts), []
+
+    def loop(start: int, stop: int, given: str) -> int:
+        barrier.wait(10)  # all parts are under way at the same time
+        done.append((start, stop, given))
+        return start
+
+    # Of the results that are not 0 the one of the earliest rows counts.
+    found = shared_out(loop, num_rows, 10, "given")
+    second = sorted(done)[1][0] if parts > 1 else 0
+    assert found == second
+    assert len(done) == parts
+    bounds = [0, *(stop for _, stop, _ in sorted(done))]
+    assert sorted(done) == [(*pair, "given") for pair in zip(bounds, bounds[1:], strict=False)]
+    assert bounds[-1] == num_rows
