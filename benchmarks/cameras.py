@@ -13,12 +13,12 @@ from benchmarks.report import fastest, figure, heading
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
 from league.sim.camera import scene
-from league.sim.camera.raycast import RayRenderer
-from league.sim.camera.renderer import PaintRenderer
+from league.sim.camera.renderer import Renderer
 from league.sim.config import CameraConfig, SimConfig
 from league.sim.records import OBSTACLE, World
 from league.track import files, markings
 from league.track.track import TrackSet
+from tests.sim.raycast import RayRenderer
 
 SCENES = 200
 EDGE = 12
@@ -99,7 +99,7 @@ def speed(tracks: TrackSet) -> None:
         camera = CameraConfig(width=width, height=height)
         for num_worlds in (1, 64):
             sim, world = one_ahead(tracks, 64)
-            renderer = PaintRenderer(tracks, sim, camera)
+            renderer = Renderer(tracks, sim, camera)
             seen, alone = renderer.render(world, 0), renderer.render(behind(world), 0)
             check_car_is_seen(seen, alone)
             if num_worlds == 64:
@@ -244,7 +244,7 @@ def against_bullet(tracks: TrackSet, folder: Path | None = None) -> None:
     camera = CameraConfig()
     sim, worlds = one_ahead(tracks, 8)
     world = worlds.row(0)
-    renderer = PaintRenderer(tracks, sim, camera)
+    renderer = Renderer(tracks, sim, camera)
     check_car_is_seen(renderer.render(world, 0), renderer.render(behind(world), 0))
     tiny, tiny_empty = (TinyScene(tracks, one, camera) for one in (world, behind(world)))
     theirs, bare = (np.stack(one.pair()) for one in (tiny, tiny_empty))
@@ -274,7 +274,7 @@ def agreement(tracks: TrackSet) -> None:
     sim, world = random_scenes(tracks, SCENES)
     for width, height in ((160, 120), (64, 48)):
         camera = CameraConfig(width=width, height=height)
-        painted = PaintRenderer(tracks, sim, camera).render(world, 0)
+        painted = Renderer(tracks, sim, camera).render(world, 0)
         cast = RayRenderer(tracks, sim, camera).render(world, 0)
         square = np.ones((3, 3), np.uint8)
         flat = cast.reshape(-1, height, width)

@@ -1,7 +1,6 @@
 """What a learner on a GPU costs: the worlds' step, copies, cameras, and whole updates.
 
-The worlds stay on the CPU. Cameras are ray-cast on the GPU, or painted on the CPU and copied;
-both are measured. Needs CUDA; run by name alone.
+The worlds stay on the CPU, where pictures are painted. Needs CUDA; run by name alone.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Literal
 
 import torch
 
@@ -27,6 +25,7 @@ from league.training.ppo.learner import Learner
 
 WORLDS = (64, 1024, 4096)
 CARS = 2
+SEEING = CameraConfig(width=64, height=48)
 
 
 def synchronised(call: Callable[[], object], times: int) -> float:
@@ -42,15 +41,11 @@ def synchronised(call: Callable[[], object], times: int) -> float:
     return statistics.median(taken)
 
 
-def step(
-    tracks: TrackSet, num_worlds: int, device: str, cameras: Literal["none", "paint", "ray"]
-) -> float:
+def step(tracks: TrackSet, num_worlds: int, device: str, camera: CameraConfig | None) -> float:
     """Return the time of a step of worlds of two learning cars [s]."""
-    camera = None if cameras == "none" else CameraConfig(width=64, height=48)
     cfg = EnvConfig(
         sim=SimConfig(kind="head_to_head", num_cars=CARS),
         sensors=(SensorConfig(camera=camera),) * CARS,
-        camera_path="ray" if cameras == "ray" else "paint",
         mode="training",
     )
     learners = tuple(range(CARS))
@@ -61,7 +56,7 @@ def step(
     taken = synchronised(lambda: env.step(actions), 10)
     seen = env.get_observations()
     assert all(group.device.type == device for group in seen.values())
-    assert cameras == "none" or float(seen["stereo"].float().std()) > 10, "the pictures are blank"
+    assert camera is None or float(seen["stereo"].float().std()) > 10, "the pictures are blank"
     env.close()
     return taken
 
@@ -70,13 +65,10 @@ def steps(tracks: TrackSet) -> None:
     """Print what a step takes by number of worlds, with and without cameras."""
     for num_worlds in WORLDS:
         rows = f"{num_worlds:,} worlds x {CARS}"
-        alone = step(tracks, num_worlds, "cpu", "none")
-        figure(f"{rows}, no cameras, learner on the CPU", 1e3 * alone, "ms")
-        copied = step(tracks, num_worlds, "cuda", "none")
-        figure(f"{rows}, no cameras, learner on the GPU", 1e3 * copied, "ms")
-        for cameras, words in (("ray", "cast on the GPU"), ("paint", "painted on the CPU, copied")):
-            taken = step(tracks, num_worlds, "cuda", cameras)
-            figure(f"{rows}, 64x48 stereo {words}", 1e3 * taken, "ms")
+        for device in ("cpu", "cuda"):
+            for camera, words in ((None, "no cameras"), (SEEING, "64x48 stereo")):
+                taken = step(tracks, num_worlds, device, camera)
+                figure(f"{rows}, {words}, learner on {device}", 1e3 * taken, "ms")
 
 
 def updates(tracks: TrackSet) -> None:

@@ -164,11 +164,11 @@ def _policies() -> None:
 
 def _cameras() -> None:
     """The painter of pictures."""
-    from league.sim.camera.renderer import PaintRenderer
+    from league.sim.camera.renderer import Renderer
     from league.sim.config import CameraConfig, SimConfig
 
     sim = SimConfig(kind="head_to_head", num_cars=2)
-    PaintRenderer(_tracks(), sim, CameraConfig(width=32, height=24)).render(_world(), 0)
+    Renderer(_tracks(), sim, CameraConfig(width=32, height=24)).render(_world(), 0)
 
 
 def _videos() -> None:

@@ -1,6 +1,6 @@
 """A learner on another device: its tensors never meet the CPU's, and it sees the same bits.
 
-The worlds stay on the CPU; states are copied, cameras are cast over there. Most tests pretend an
+The worlds stay on the CPU; observations are copied. Most tests pretend an
 accelerator: its tensors hold real numbers on the CPU, say that they lie elsewhere, and refuse what
 a real device refuses. It cannot tell whether a real one has all operations and which bits they
 give: the last tests, which are skipped without CUDA, can.
@@ -25,22 +25,21 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig
-from league.sim.camera.raycast import RayRenderer
 from league.sim.config import (
     CameraConfig,
     LidarConfig,
     SensorConfig,
     SimConfig,
-    VisualRandomization,
 )
 from league.track.track import TrackSet
 from league.training.ppo.statistics import EpisodeStatistics
 from tests.scenes import make_ring
-from tests.sim import looking
 from tests.training import learners
 
 RING = make_ring(points=120)
 TWO = SimConfig(kind="head_to_head", num_cars=2)
+CAMERA = CameraConfig(width=16, height=12, rate_hz=7.5)
+SEEING = (SensorConfig(camera=CAMERA, lidar=LidarConfig(rate_hz=10.0)),)
 GPU = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA on this machine")
 ELSEWHERE = "lazy"
 """A device of torch's own that CPU builds know by name, and that nothing else here uses."""
@@ -196,7 +195,7 @@ def test_a_device_refuses_tensors_of_another_one():
 
 def drive(device: str, *, steps: int = 4, **settings: Any) -> list[object]:
     """Return everything that a batch on a device hands out, step by step."""
-    cfg = EnvConfig(mode="training", episode_s=0.2, camera_path="ray", **settings)
+    cfg = EnvConfig(mode="training", episode_s=0.2, **settings)
     cars = tuple(range(cfg.sim.num_cars))
     env = RacingVecEnv(TrackSet(RING), cfg, num_worlds=2, learners=cars, device=device)
     seen: list[object] = [dict(env.get_observations())]
@@ -210,9 +209,7 @@ def drive(device: str, *, steps: int = 4, **settings: Any) -> list[object]:
 
 @pytest.mark.parametrize("sim", [SimConfig(), TWO])
 def test_a_batch_of_another_device_hands_out_the_same_bits(sim):
-    camera = CameraConfig(width=16, height=12, rate_hz=7.5)
-    sensors = (SensorConfig(camera=camera, lidar=LidarConfig(rate_hz=10.0)),)
-    check_both(lambda device: drive(device, sim=sim, sensors=sensors))
+    check_both(lambda device: drive(device, sim=sim, sensors=SEEING))
 
 
 def test_episodes_are_told_of_rows_of_another_device():
@@ -231,28 +228,11 @@ def test_episodes_are_told_of_rows_of_another_device():
 
 
 @GPU
-@pytest.mark.parametrize("colour", [False, True])
-@pytest.mark.parametrize("looks", [None, VisualRandomization(light=0.3, colour=0.3, noise=8.0)])
-def test_pictures_cast_on_a_gpu_are_those_cast_on_the_cpu(colour, looks):
-    tracks = looking.room(half=3.0)
-    now = looking.random_scenes(tracks, 24, seed=1)
-    parts = (tracks, looking.settings(now.num_cars), CameraConfig(colour=colour), looks)
-    here = RayRenderer(*parts).render(now, 0)
-    there = torch.as_tensor(RayRenderer(*parts, device="cuda").render(now, 0))
-    assert there.device.type == "cuda"
-    off = np.abs(there.cpu().numpy().astype(int) - here)
-    assert here.std() > 10
-    # Other roundings move an edge by a pixel now and then.
-    assert (off > 1).mean() < 1e-4
-
-
-@GPU
 @pytest.mark.parametrize("sim", [SimConfig(), TWO])
 def test_worlds_hand_the_same_bits_to_a_gpu(sim):
-    sensors = (SensorConfig(lidar=LidarConfig(rate_hz=10.0)),)
-    there = list(tensors(drive("cuda", sim=sim, sensors=sensors)))
+    there = list(tensors(drive("cuda", sim=sim, sensors=SEEING)))
     assert {one.device.type for one in there} == {"cuda"}
-    for one, other in zip(there, tensors(drive("cpu", sim=sim, sensors=sensors)), strict=True):
+    for one, other in zip(there, tensors(drive("cpu", sim=sim, sensors=SEEING)), strict=True):
         assert torch.equal(one.cpu(), other)
 
 

@@ -192,7 +192,7 @@ def test_worlds_of_any_size_meet_the_code_that_is_compiled_already(race_env):
 
 def test_pictures_of_any_kind_meet_the_code_that_is_compiled_already(race_env):
     from league.sim.camera import painting, scene_state
-    from league.sim.camera.renderer import PaintRenderer
+    from league.sim.camera.renderer import Renderer
     from league.sim.config import CameraConfig, ObstacleConfig, SimConfig, VisualRandomization
     from league.video.stills import chase_view
 
@@ -207,7 +207,7 @@ def test_pictures_of_any_kind_meet_the_code_that_is_compiled_already(race_env):
         env = race_env(sim=sim, num_worlds=3)
         world = env.world.copy()
         world.cars.setflags(write=False)
-        renderer = PaintRenderer(env.tracks, sim, camera, looks)
+        renderer = Renderer(env.tracks, sim, camera, looks)
         for rows in (None, np.array([2, 0])):
             renderer.render(world, 0, rows)
         chase_view(env.tracks, sim, world, 1, 0, 64, 36)

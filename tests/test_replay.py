@@ -14,7 +14,7 @@ from league.racing import race
 from league.replay import broadcast
 from league.replay import format as file_format
 from league.replay.format import PREFIX, decode, encode
-from league.sim.camera.renderer import PaintRenderer
+from league.sim.camera.renderer import Renderer
 from league.sim.config import CameraConfig
 from league.track import files
 from league.track.track import TrackSet
@@ -178,7 +178,7 @@ def test_all_frames_are_one_batch_of_worlds():
 
 def test_the_ordinary_renderers_draw_a_replay():
     made = by_hand(3, lambda w, n: moved(w, yaw=[0.0, 0.2 * n]))
-    renderer = PaintRenderer(made.tracks, made.sim, CameraConfig(width=64, height=48))
+    renderer = Renderer(made.tracks, made.sim, CameraConfig(width=64, height=48))
     seen = renderer.render(made.worlds(), 1)
     assert seen.shape == (3, 2, 48, 64)
     assert not np.array_equal(seen[0], seen[2])

@@ -1,6 +1,7 @@
 """Rows shared out among threads: each once, and few of them on one thread."""
 
 import threading
+from itertools import pairwise
 
 import pytest
 
@@ -25,5 +26,5 @@ def test_each_row_is_worked_on_once(monkeypatch, num_rows, threads, parts):
     assert found == second
     assert len(done) == parts
     bounds = [0, *(stop for _, stop, _ in sorted(done))]
-    assert sorted(done) == [(*pair, "given") for pair in zip(bounds, bounds[1:], strict=False)]
+    assert sorted(done) == [(*pair, "given") for pair in pairwise(bounds)]
     assert bounds[-1] == num_rows

@@ -97,8 +97,6 @@ class EnvConfig(Checked, what="environment"):
     sim: SimConfig = field(default_factory=SimConfig)  # the world
     solver: SolverName = "planar"  # rigid bodies (bullet) or motion in the plane (planar)
     sensors: tuple[SensorConfig, ...] = (SensorConfig(),)  # of each car; one entry serves all cars
-    # compiled painting on the CPU, or torch ray casting on any device
-    camera_path: Literal["paint", "ray"] = "paint"
     # light, colour, noise and blur drawn for each race; None: the plain picture
     looks: VisualRandomization | None = None
     # in a race a mistake costs penalty seconds; in training it ends the car's episode

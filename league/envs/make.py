@@ -65,8 +65,6 @@ class EnvOptions(TypedDict, total=False):
     None: six in obstacle_avoidance, else none, unless `sim` holds others."""
     sim: SimConfig | None
     """All other settings of the world: car, rules, obstacles, contacts, randomisation."""
-    camera_path: Literal["paint", "ray"]
-    """Compiled painting on the CPU, or torch ray casting."""
     looks: VisualRandomization | None
     """Light, colour, noise and blur drawn for each race; None: the plain picture."""
 
@@ -126,7 +124,6 @@ def configure(
         sim=replace(base, kind=kind, num_cars=num_cars, rules=rules, obstacles=obstacles),
         solver=options.get("solver", "planar"),
         sensors=_of_cars(sensors, num_cars),
-        camera_path=options.get("camera_path", "paint"),
         looks=options.get("looks"),
         mode=options.get("mode", "race"),
         reward=weights(options.get("reward")),

@@ -69,7 +69,6 @@ class RaceEnv:
         seed: int = 0,
         track_index: ArrayLike | None = None,
         reward: Reward | None = None,
-        device: str = "cpu",
     ) -> None:
         """Build the worlds and put them on the grid.
 
@@ -80,7 +79,6 @@ class RaceEnv:
             seed: makes the worlds' own seeds, unless `reset` is given some.
             track_index: track of each world, (num_worlds,); by default they take turns.
             reward: None: the built-in terms by the weights of `cfg.reward`.
-            device: of the cameras' rays, if `cfg.camera_path` is "ray".
         """
         if num_worlds < 1:
             raise ValueError(f"num_worlds is {num_worlds}: give at least 1")
@@ -101,7 +99,7 @@ class RaceEnv:
             from league.sim.physics.bullet import BulletSolver  # late: PyBullet takes a while
 
             self._solver = BulletSolver(cfg.sim, tracks.rooms, num_worlds)
-        self._sensors = SensorSuite(tracks, cfg, device)
+        self._sensors = SensorSuite(tracks, cfg)
         self._result = self._result_views()
         self._begin(seed, None)
 

@@ -54,9 +54,9 @@ class Groups(Mapping[str, np.ndarray]):
 class SensorSuite:
     """The sensors of all cars, with their last readings; part of RaceEnv's state."""
 
-    def __init__(self, tracks: TrackSet, cfg: EnvConfig, device: str = "cpu") -> None:
+    def __init__(self, tracks: TrackSet, cfg: EnvConfig) -> None:
         """Build the sensors that the cars carry; cars with equal cameras share a renderer."""
-        self._tracks, self._cfg, self._device = tracks, cfg, device
+        self._tracks, self._cfg = tracks, cfg
         self._renderers: dict[CameraConfig, Renderer] = {}
         self._sensors: list[dict[str, tuple[float, Reading]]] = [
             self._sensors_of(car) for car in range(cfg.sim.num_cars)
@@ -206,15 +206,10 @@ class SensorSuite:
 
     def _renderer(self, camera: CameraConfig) -> Renderer:
         if camera not in self._renderers:
+            from league.sim.camera.renderer import Renderer
+
             arguments = (self._tracks, self._cfg.sim, camera, self._cfg.looks)
-            if self._cfg.camera_path == "ray":
-                from league.sim.camera.raycast import RayRenderer
-
-                self._renderers[camera] = RayRenderer(*arguments, device=self._device)
-            else:
-                from league.sim.camera.renderer import PaintRenderer
-
-                self._renderers[camera] = PaintRenderer(*arguments)
+            self._renderers[camera] = Renderer(*arguments)
         return self._renderers[camera]
 
 

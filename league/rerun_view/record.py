@@ -19,7 +19,7 @@ from league.replay import Replay, broadcast
 from league.rerun_view import layout
 from league.rerun_view.scene import EYE_CAMERA, NEUTRAL, SceneWriter, positions, rotation
 from league.sim import lidar
-from league.sim.camera.renderer import PaintRenderer
+from league.sim.camera.renderer import Renderer
 from league.sim.camera.scene import CAR_COLOURS
 from league.sim.config import LidarConfig
 from league.video.film import Mp4
@@ -132,7 +132,7 @@ def _send_eyes(writer: SceneWriter, replay: Replay) -> None:
 
 def _film(replay: Replay, slot: int) -> tuple[bytes, bytes]:
     """Return what a car's left and right eye saw, as two MP4 files."""
-    renderer = PaintRenderer(replay.tracks, replay.sim, EYE_CAMERA)
+    renderer = Renderer(replay.tracks, replay.sim, EYE_CAMERA)
     films = (io.BytesIO(), io.BytesIO())
     size = EYE_CAMERA.width, EYE_CAMERA.height
     left, right = (Mp4(film, size, replay.step_hz, crf=29, preset="ultrafast") for film in films)

@@ -10,7 +10,7 @@ import numpy as np
 from league.errors import ReplayError
 from league.replay import Replay
 from league.sim.camera.ground import floor_of
-from league.sim.camera.renderer import Painter, PaintRenderer
+from league.sim.camera.renderer import Painter, Renderer
 from league.sim.camera.scene import BOX, CAR, GLASS, MODELS, lit
 from league.sim.camera.scene_state import Lens, SceneState
 from league.sim.camera.tables import Pose
@@ -158,7 +158,7 @@ def strip(replay: Replay, car: int) -> bytes:
     result, camera = replay.result, STRIP_CAMERA
     driven = next(row for row in result.order if row.car == car)
     times_s = strip_moments(driven.total_s if driven.finished else np.inf, result.race_s)
-    renderer = PaintRenderer(replay.tracks, replay.sim, camera)
+    renderer = Renderer(replay.tracks, replay.sim, camera)
     planes = renderer.render(replay.at(np.array(times_s)), car)
     cells = list(planes.transpose(0, 2, 3, 1))
     starts = range(0, len(cells), STRIP_COLUMNS)

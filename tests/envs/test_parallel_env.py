@@ -260,7 +260,6 @@ def test_nothing_is_drawn_where_no_mode_was_chosen():
         ({"kind": ["time_trial"]}, "kind is .*choose one of"),
         ({"solver": "mujoco"}, "solver is 'mujoco': choose one of planar, bullet"),
         ({"mode": "practice"}, "mode is 'practice'"),
-        ({"camera_path": "gl"}, "camera_path is 'gl'"),
         (
             {"sensors": "sterio"},
             "there is no sensor 'sterio': give stereoWxH, monoWxH",

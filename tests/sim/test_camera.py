@@ -6,14 +6,14 @@ import math
 import numpy as np
 import pytest
 
-from league.sim.camera.raycast import RayRenderer
-from league.sim.camera.renderer import PaintRenderer
+from league.sim.camera.renderer import Renderer
 from league.sim.camera.scene_state import Lens
 from league.sim.config import CameraConfig, SimConfig
 from league.track.track import TrackSet
 from tests.sim.looking import FOCAL, random_scenes, room, settings, world
+from tests.sim.raycast import RayRenderer
 
-RENDERERS = [PaintRenderer, RayRenderer]
+RENDERERS = [Renderer, RayRenderer]
 FAR_AWAY = (-5.0, -5.0, 0.0)
 
 
@@ -48,7 +48,7 @@ def test_pictures_do_not_depend_on_the_number_of_threads(monkeypatch):
     found = []
     for threads in ("1", "3"):
         monkeypatch.setenv("OMP_NUM_THREADS", threads)
-        found.append(pictures(PaintRenderer, now, tracks))
+        found.append(pictures(Renderer, now, tracks))
     assert found[0].std() > 10
     assert np.array_equal(*found)
 
@@ -112,9 +112,9 @@ def test_body_that_rises_moves_the_camera_and_no_more():
     # 5 cm higher on its wheels is a camera 5 cm higher on its mast.
     now = world(room(), [(0, 0, 0.3), (1, 0.2, 1.0)])
     now.cars["z"] = 0.05
-    raised = pictures(PaintRenderer, now)
+    raised = pictures(Renderer, now)
     now.cars["z"], now.cars["camera_up"] = 0.0, 0.05
-    assert (raised == pictures(PaintRenderer, now)).all()
+    assert (raised == pictures(Renderer, now)).all()
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)
@@ -223,14 +223,14 @@ def test_shape_is_the_one_the_configuration_tells(renderer, camera):
 
 def test_left_eye_alone_is_the_left_eye_of_the_pair():
     now = world(room(), [(0, 0, 0), (0.8, 0.1, 0.4)])
-    pair = pictures(PaintRenderer, now)
-    assert np.array_equal(pictures(PaintRenderer, now, eyes="left")[:, 0], pair[:, 0])
+    pair = pictures(Renderer, now)
+    assert np.array_equal(pictures(Renderer, now, eyes="left")[:, 0], pair[:, 0])
 
 
 def test_colour_picture_turned_gray_is_the_gray_picture():
     now = world(room(), [(0, 0, 0), (0.8, 0.1, 0.4)])
-    red, green, blue = pictures(PaintRenderer, now, colour=True, eyes="mono")[0].astype(float)
-    gray = pictures(PaintRenderer, now, eyes="mono")[0, 0]
+    red, green, blue = pictures(Renderer, now, colour=True, eyes="mono")[0].astype(float)
+    gray = pictures(Renderer, now, eyes="mono")[0, 0]
     assert np.abs(0.299 * red + 0.587 * green + 0.114 * blue - gray).max() < 2.5
 
 
@@ -274,7 +274,7 @@ def test_camera_parameters_of_a_car_move_its_horizon():
     tilted.cars["camera_pitch"] = 0.05
 
     def foot_of_wall(which) -> int:
-        column = pictures(PaintRenderer, which, room(half=3.0))[0, 0, :, 80].astype(int)
+        column = pictures(Renderer, which, room(half=3.0))[0, 0, :, 80].astype(int)
         return int(np.abs(np.diff(column))[5:60].argmax())
 
     # 0.05 rad is 126.19 * 0.05 = 6.3 px in the middle of the picture, a little more above it.
@@ -285,12 +285,12 @@ def test_each_world_of_a_batch_is_seen_from_its_own_mounting():
     now = world(room(half=3.0), [[(0, 0, 0), (0.8, 0.1, 0.4)]] * 3)
     now.cars["camera_up"] = [[0.0, 0.0], [0.03, 0.0], [0.03, 0.0]]
     now.cars["camera_pitch"] = [[0.0, 0.0], [0.0, 0.0], [0.04, 0.0]]
-    made = PaintRenderer(room(half=3.0), settings(2), CameraConfig())
+    made = Renderer(room(half=3.0), settings(2), CameraConfig())
     together = made.render(now, 0)
     for index in range(3):
         # A renderer that has seen no other mounting.
         assert np.array_equal(
-            pictures(PaintRenderer, now.row(index), room(half=3.0))[0], together[index]
+            pictures(Renderer, now.row(index), room(half=3.0))[0], together[index]
         )
         assert not np.array_equal(together[index], together[index - 1])
 

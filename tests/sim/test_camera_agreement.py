@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from league.sim.camera.raycast import RayRenderer
-from league.sim.camera.renderer import PaintRenderer
+from league.sim.camera.renderer import Renderer
 from league.sim.config import CameraConfig, VisualRandomization
 from tests.sim.looking import random_scenes, room, settings, world
+from tests.sim.raycast import RayRenderer
 
 EDGE = 12
 """A pixel is away from edges if the values in the 3 x 3 pixels round it, in the ray's picture,
@@ -16,7 +16,7 @@ spread by less than this, in every channel."""
 
 def both(now, tracks, looks=None, **camera) -> tuple[np.ndarray, np.ndarray]:
     parts = (tracks, settings(now.num_cars), CameraConfig(**camera), looks)
-    painted = PaintRenderer(*parts).render(now, 0)
+    painted = Renderer(*parts).render(now, 0)
     cast = RayRenderer(*parts).render(now, 0)
     return painted, cast
 
@@ -97,7 +97,7 @@ def test_pictures_of_cars_that_lean_pitch_and_rise_agree(colour):
     tracks = room(half=3.0)
     now = random_scenes(tracks, 24, seed=3)
     draw = np.random.default_rng(5)
-    renderer = PaintRenderer(tracks, settings(now.num_cars), CameraConfig(colour=colour))
+    renderer = Renderer(tracks, settings(now.num_cars), CameraConfig(colour=colour))
     level = renderer.render(now, 0)
     now.cars["roll"] = draw.uniform(-0.5, 0.5, now.cars.shape)
     now.cars["pitch"] = draw.uniform(-0.3, 0.3, now.cars.shape)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from league.errors import ConfigError
-from league.sim.camera.raycast import RayRenderer
-from league.sim.camera.renderer import PaintRenderer
+from league.sim.camera.renderer import Renderer
 from league.sim.config import CameraConfig, VisualRandomization
 from tests.sim.looking import random_scenes, room, settings, world
+from tests.sim.raycast import RayRenderer
 
-RENDERERS = [PaintRenderer, RayRenderer]
+RENDERERS = [Renderer, RayRenderer]
 SMALL = CameraConfig(width=64, height=48)
 ALL = VisualRandomization(light=0.3, colour=0.3, noise=8.0, blur=0.7)
 
@@ -49,9 +49,9 @@ def test_worlds_with_other_seeds_look_different(renderer):
 
 def test_light_is_one_gain_for_a_whole_race():
     now = world(room(half=3.0), [(0, 0, 0)])
-    plain = look_at(PaintRenderer, now, None).astype(float)
-    bright = look_at(PaintRenderer, now, VisualRandomization(light=0.3)).astype(float)
-    later = look_at(PaintRenderer, later_on(now, 9), VisualRandomization(light=0.3))
+    plain = look_at(Renderer, now, None).astype(float)
+    bright = look_at(Renderer, now, VisualRandomization(light=0.3)).astype(float)
+    later = look_at(Renderer, later_on(now, 9), VisualRandomization(light=0.3))
     gain = bright.sum() / plain.sum()
     assert 0.7 <= gain <= 1.3 and abs(gain - 1) > 0.01
     assert np.abs(bright - np.minimum(plain * gain, 255)).max() < 2
@@ -60,9 +60,9 @@ def test_light_is_one_gain_for_a_whole_race():
 
 def test_noise_has_the_drawn_strength_and_is_new_in_every_picture():
     now = world(room(half=3.0), [[(0, 0, 0)]] * 8)
-    plain = look_at(PaintRenderer, now, None).astype(float)
-    noisy = look_at(PaintRenderer, now, VisualRandomization(noise=10.0))
-    later = look_at(PaintRenderer, later_on(now, 1), VisualRandomization(noise=10.0))
+    plain = look_at(Renderer, now, None).astype(float)
+    noisy = look_at(Renderer, now, VisualRandomization(noise=10.0))
+    later = look_at(Renderer, later_on(now, 1), VisualRandomization(noise=10.0))
     spread = (noisy - plain).std(axis=(1, 2, 3))
     assert spread.min() > 0 and spread.max() <= 10.3 and spread.max() > 4
     assert np.abs((noisy - plain).mean()) < 0.3
@@ -71,8 +71,8 @@ def test_noise_has_the_drawn_strength_and_is_new_in_every_picture():
 
 def test_blur_smooths():
     now = world(room(half=3.0), [[(0, 0, 0)]] * 4)
-    plain = look_at(PaintRenderer, now, None).astype(float)
-    soft = look_at(PaintRenderer, now, VisualRandomization(blur=0.8)).astype(float)
+    plain = look_at(Renderer, now, None).astype(float)
+    soft = look_at(Renderer, now, VisualRandomization(blur=0.8)).astype(float)
     rough = np.abs(np.diff(plain, axis=3)).mean(axis=(1, 2, 3))
     smooth = np.abs(np.diff(soft, axis=3)).mean(axis=(1, 2, 3))
     assert (smooth < rough).all()

@@ -13,7 +13,7 @@ from starlette.testclient import TestClient
 from starlette.types import ASGIApp
 
 from league.replay import format
-from league.sim.camera.renderer import PaintRenderer
+from league.sim.camera.renderer import Renderer
 from league.video import stills
 from league.web import downloads, reader
 from league.web.app import make_app
@@ -37,7 +37,7 @@ def test_a_film_strip_shows_what_the_car_saw_at_its_moments(client, store, heat)
     replay = format.decode(store.blobs.get(store.results(rated_heat(store))[0].replay))
     car = next(car for car in replay.result.order if car.car == 1)
     times_s = stills.strip_moments(car.total_s if car.finished else np.inf, replay.result.race_s)
-    sixth = PaintRenderer(replay.tracks, replay.sim, stills.STRIP_CAMERA).render(
+    sixth = Renderer(replay.tracks, replay.sim, stills.STRIP_CAMERA).render(
         replay.at(np.array(times_s[5:6])), 1
     )[0]
     cell = sheet[height:, width : 2 * width].transpose(2, 0, 1)

@@ -114,7 +114,6 @@ class RacingVecEnv(VecEnv):
             num_worlds=num_worlds,
             seed=seed,
             reward=load_reward(reward, tracks, self.cfg, num_worlds, self.learners),
-            device=device,
         )
         self._as_bytes = as_bytes
         self._columns = list(self.learners)
@@ -213,8 +212,7 @@ class RacingVecEnv(VecEnv):
 
     def _stacked(self, groups: list[np.ndarray]) -> Tensor:
         """Return one group of all rows: a copy, because the environment overwrites its own."""
-        # Stacked over there: ray-cast pictures are on their device already.
-        parts = [torch.as_tensor(group).to(self.device) for group in groups]
+        parts = [torch.from_numpy(group).to(self.device) for group in groups]
         return torch.stack(parts, dim=1).flatten(0, 1)
 
     def _log(self, step: Step) -> dict[str, Tensor]:

@@ -1,4 +1,4 @@
-"""Renderer, what makes the pictures of a car's camera, and PaintRenderer, which paints on the CPU.
+"""Renderer, what makes the pictures of a car's camera.
 
 Painting one scene (painting.py): the sky, the floor from its textures, then walls and things from
 tables of their models.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from abc import ABC, abstractmethod
 from functools import cache, cached_property
 
 import cv2
@@ -32,11 +31,8 @@ _TOUCH = 1e-6  # solids nearer than this touch each other [m]
 _FLAT_RUBBER = len(scene.PAINTS)  # the paint of a wheel's tread: round, so no one light fits it
 
 
-class Renderer(ABC):
-    """Makes the pictures of one camera of one car in many worlds.
-
-    There are two: `PaintRenderer` for the CPU, and `RayRenderer` for any device.
-    """
+class Renderer:
+    """Makes the pictures of one camera of one car in many worlds."""
 
     def __init__(
         self,
@@ -64,19 +60,11 @@ class Renderer(ABC):
         look = visual_randomization.draw(self._looks, world, rows, car, self._camera.colour)
         return self._draw(SceneState(self._sim, world, rows, look.tint), car, look)
 
-    @abstractmethod
-    def _draw(self, state: SceneState, car: int, look: Look | None) -> np.ndarray:
-        """Return the pictures of a car in all worlds of a SceneState."""
-
     def _floor(self, track: int) -> Floor:
         if track not in self._floors:
             cfg, course = self._camera, self._tracks.tracks[track]
             self._floors[track] = floor_of(course, self._lens, cfg.up, cfg.pitch, cfg.colour)
         return self._floors[track]
-
-
-class PaintRenderer(Renderer):
-    """Paints all worlds on one track in one call."""
 
     @cached_property
     def _painter(self) -> Painter:
@@ -85,6 +73,7 @@ class PaintRenderer(Renderer):
         return Painter(self._lens, gray=not self._camera.colour, sky=self._sky)
 
     def _draw(self, state: SceneState, car: int, look: Look | None) -> np.ndarray:
+        """Return the pictures of a car in all worlds of a SceneState."""
         cfg = self._camera
         poses, things = state.tables(car, mount_of(cfg), gray=not cfg.colour)
         shape = (len(poses), cfg.num_eyes, cfg.height, cfg.width)

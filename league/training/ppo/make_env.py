@@ -3,8 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import torch
-
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig, Scenarios
 from league.envs.driver import Driver
@@ -115,8 +113,6 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         sim=sim,
         solver="planar",
         sensors=(cfg.sensors,) * cfg.num_cars,
-        # Compiled painting on a CPU, ray casting on a GPU.
-        camera_path="paint" if torch.device(cfg.device).type == "cpu" else "ray",
         looks=VISUAL_RANDOMIZATION if cfg.visual_randomization else None,
         mode="training",
         reward=cfg.reward,

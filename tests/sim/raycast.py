@@ -1,6 +1,6 @@
-"""RayRenderer: the same pictures by casting a ray for each pixel, in torch, on any device.
+"""RayRenderer: the same pictures by casting a ray for each pixel, in torch.
 
-It shares the shapes, textures and colours with the painted path but none of its projection,
+It shares the shapes, textures and colours with what is painted but none of its projection,
 clipping or painting, so that each can be held against the other.
 """
 
@@ -21,7 +21,7 @@ from league.sim.camera.visual_randomization import Look
 
 _FAR = 1e9
 # A processor's cache holds what is worked out for so many; 16 times as many take 3 times as long.
-_PIXELS_AT_ONCE = {"cpu": 1 << 16, "cuda": 1 << 25}
+_PIXELS_AT_ONCE = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -71,28 +71,26 @@ class _Body:
 
 
 class RayRenderer(Renderer):
-    """Casts the rays of many worlds at once, on a device."""
+    """Casts the rays of many worlds at once."""
 
-    def __init__(self, *arguments: Any, device: str = "cpu") -> None:  # noqa: ANN401
-        """See Renderer; the rays are cast on `device`, where the pictures stay."""
+    def __init__(self, *arguments: Any) -> None:
+        """See Renderer."""
         super().__init__(*arguments)
-        self._device = torch.device(device)
         self._textures: dict[int, list[Tensor]] = {}
 
     def _draw(self, state: SceneState, car: int, look: Look | None) -> np.ndarray:
         cfg = self._camera
         pixels = cfg.num_eyes * cfg.height * cfg.width
-        size = max(1, _PIXELS_AT_ONCE.get(self._device.type, 1 << 20) // pixels)
+        size = max(1, _PIXELS_AT_ONCE // pixels)
         shape = (len(state.track), *cfg.shape)
-        pictures = torch.zeros(shape, dtype=torch.uint8, device=self._device)
+        pictures = torch.zeros(shape, dtype=torch.uint8)
         poses, things = state.tables(car, mount_of(cfg))
         for start in range(0, len(state.track), size):
             part = slice(start, min(start + size, len(state.track)))
             tracks = state.track[part].tolist()
             views = self._tensor(poses[part])
             pictures[part] = self._render(tracks, views, things[part], look, part)
-        # On another device pictures stay there, for the learner that reads them.
-        return pictures.numpy() if self._device.type == "cpu" else pictures  # type: ignore[return-value]
+        return pictures.numpy()
 
     def _render(
         self, tracks: list[int], poses: Tensor, things: np.ndarray, look: Look | None, part: slice
@@ -116,23 +114,23 @@ class RayRenderer(Renderer):
         return torch.clamp(torch.floor(pictures + 0.5), 0, 255).to(torch.uint8)
 
     def _tensor(self, values: Sequence[Any] | np.ndarray) -> Tensor:
-        return torch.tensor(values, dtype=torch.float32, device=self._device)
+        return torch.tensor(values, dtype=torch.float32)
 
     def _developed(self, pictures: Tensor, look: Look, part: slice) -> Tensor:
         """Return float pictures, (num_rows, num_eyes, height, width, channels), with their look."""
         leak = self._tensor(look.leak[part]).reshape(-1, 1, 1, 1, 1)
         for axis in (2, 3):
             size = pictures.shape[axis]
-            rows_before = torch.arange(-1, size - 1, device=self._device).clamp(min=0)
-            rows_after = torch.arange(1, size + 1, device=self._device).clamp(max=size - 1)
+            rows_before = torch.arange(-1, size - 1).clamp(min=0)
+            rows_after = torch.arange(1, size + 1).clamp(max=size - 1)
             before = pictures.index_select(axis, rows_before)
             after = pictures.index_select(axis, rows_after)
             pictures = pictures + leak * (before + after - 2 * pictures)
         gain = self._tensor(look.gain[part])[:, None, None, None, :]
         pictures = torch.clamp(pictures * gain, 0, 255)
         size = pictures[0].numel()
-        grain = torch.from_numpy(visual_randomization.grain(size)).to(self._device)
-        places = torch.from_numpy(look.place[part, None] + np.arange(size)).to(self._device)
+        grain = torch.from_numpy(visual_randomization.grain(size))
+        places = torch.from_numpy(look.place[part, None] + np.arange(size))
         noise = grain[places].reshape(pictures.shape).to(pictures.dtype) - 128
         sigma = self._tensor(look.noise[part] / visual_randomization.NOISE_STEP)
         return pictures + noise * sigma.reshape(-1, 1, 1, 1, 1)
@@ -144,8 +142,8 @@ class RayRenderer(Renderer):
         height, pitch_cos, pitch_sin, roll_cos, roll_sin = (
             poses[:, index].reshape(-1, 1, 1, 1) for index in (2, 5, 6, 7, 8)
         )
-        column = (torch.arange(lens.width, device=self._device) - lens.cx) / lens.focal
-        row = (torch.arange(lens.height, device=self._device) - lens.cy) / lens.focal
+        column = (torch.arange(lens.width) - lens.cx) / lens.focal
+        row = (torch.arange(lens.height) - lens.cy) / lens.focal
         row = row.reshape(1, 1, -1, 1)
         # To the right and down in the picture of a camera that does not roll.
         across, down = column * roll_cos - row * roll_sin, column * roll_sin + row * roll_cos
@@ -166,7 +164,7 @@ class RayRenderer(Renderer):
         x, y, _, cos, sin = poses.unbind(1)[:5]
         # The world's origin in the frame of the camera's yaw.
         inside = rays.turned(-(cos * x + sin * y), sin * x - cos * y, cos, -sin)
-        index = torch.tensor(tracks, device=self._device)
+        index = torch.tensor(tracks)
         x_min, y_min, x_max, y_max = (
             part.reshape(-1, 1, 1, 1) for part in self._tensor(self._tracks.rooms)[index].unbind(1)
         )
@@ -187,7 +185,7 @@ class RayRenderer(Renderer):
         side = torch.where(is_wall, side, 4)
         channels = 3 if self._camera.colour else 1
         sky = scene.SKY_COLOUR if self._camera.colour else (scene.luma(scene.SKY_COLOUR),)
-        pictures = torch.empty((*far.shape, channels), device=self._device)
+        pictures = torch.empty((*far.shape, channels))
         for track in sorted(set(tracks)):
             here = (index == track).nonzero()[:, 0]
             floor, textures = self._floor(track), self._textures_of(track)
@@ -204,9 +202,7 @@ class RayRenderer(Renderer):
             channels = 3 if self._camera.colour else 1
             self._textures[track] = [
                 # Of a texel in colour the first byte is red, and the last one empty.
-                torch.from_numpy(texels)
-                .to(self._device)
-                .reshape(-1, 4 if channels == 3 else 1)[:, :channels]
+                torch.from_numpy(texels).reshape(-1, 4 if channels == 3 else 1)[:, :channels]
                 for texels in self._floor(track).texels
             ]
         return self._textures[track]
@@ -262,13 +258,13 @@ class RayRenderer(Renderer):
             seen, (sun_x, sun_y) = local, body.sun
             if solid.pivot is not None:
                 cos, sin = body.steering
-                pivot = torch.tensor(solid.pivot, device=self._device).expand(len(cos), 2)
+                pivot = torch.tensor(solid.pivot).expand(len(cos), 2)
                 seen = local.turned(pivot[:, 0], pivot[:, 1], cos, sin)
                 sun_x, sun_y = cos * sun_x + sin * sun_y, cos * sun_y - sin * sun_x
             enter, face = _enter(seen, solid)
             hit = (enter >= NEAR) & (enter < depth) & mask.reshape(-1, 1, 1, 1)
             colours = self._colours(solid, body, sun_x, sun_y)  # (rows, faces, channels)
-            row = torch.arange(len(colours), device=self._device).reshape(-1, 1, 1, 1)
+            row = torch.arange(len(colours)).reshape(-1, 1, 1, 1)
             depth = torch.where(hit, enter, depth)
             pictures = torch.where(hit.unsqueeze(-1), colours[row, face], pictures)
         return depth, pictures
