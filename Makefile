@@ -1,10 +1,10 @@
-# The workshop in a few words: make race | league | serve | pages | test | sync | format | check | type | bench | mutants | clean
+# The workshop in a few words: make race | league | serve | pages | test | coverage | sync | format | check | type | bench | mutants | clean
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 # Torch on a few cores: waiting threads must not spin.
 export OMP_WAIT_POLICY = PASSIVE
 
-.PHONY: race league serve pages test torchrl sync format check type bench mutants clean
+.PHONY: race league serve pages test coverage torchrl sync format check type bench mutants clean
 
 race: sync
 	$(BIN)/league race cautious racing_line blocker duelist --seed 7
@@ -41,6 +41,14 @@ pages: league
 # of the files: sorted by number of tests, the few that take longest would come last.
 test: sync
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+
+# The same under coverage: which lines and branches of league/ run, and failure if too few. Numba loads
+# coverage at each start where it is installed, so it lies in a folder of its own.
+coverage: sync
+	test -d .venv/coverage || $(PIP) --no-deps --target .venv/coverage coverage pytest-cov
+	PYTHONPATH=.venv/coverage OMP_NUM_THREADS=1 $(BIN)/python -m pytest \
+		-n 3 --dist loadfile --no-loadscope-reorder --cov --cov-report=term:skip-covered -m "not untraced"
+	$(BIN)/python -m pytest -m untraced
 
 # TorchRL needs another tensordict than rsl-rl, so it lies in a folder that these tests alone see.
 torchrl: sync

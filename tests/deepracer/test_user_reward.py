@@ -295,6 +295,7 @@ def test_a_helper_beside_the_file_is_not_to_be_installed(reward_file, tmp_path):
         user_reward(reward_file("import my_utils\n"), 1)
 
 
+@pytest.mark.untraced
 def test_a_call_that_does_not_come_back_ends_with_its_line(reward_file):
     text = "count = 0\ndef reward_function(params):\n    while params['steps'] > 1:\n        pass\n"
     path = reward_file(f"{text}    return 1.0\n")
@@ -309,6 +310,7 @@ def test_a_call_that_does_not_come_back_ends_with_its_line(reward_file):
     assert sum(range(10_000)) == 49_995_000
 
 
+@pytest.mark.untraced
 def test_a_file_that_does_not_come_back_from_being_loaded_ends_with_its_line(reward_file):
     path = reward_file("def reward_function(params):\n    return 1\n\nwhile True:\n    pass\n")
     with pytest.raises(RewardError, match=r"line [45]: still running after 0\.2 s"):
@@ -454,6 +456,7 @@ def test_reward_is_told_of_every_episode_that_begins():
     assert heard.begun[3:] == [[[True], [False]]]
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("wait", ["time.sleep(30)", "os.read(PIPE[0], 1)"])
 @pytest.mark.parametrize("at_import", [True, False])
 def test_a_wait_is_stopped_as_it_is_called_and_as_the_file_is_loaded(reward_file, wait, at_import):
