@@ -32,6 +32,14 @@ PLAYED = """async (seconds) => {
 }"""
 """Plays a race: how many frames were drawn, the time in the script and from the first to the last
 [ms]."""
+EMPTY = """async (seconds) => {
+  const starts = [];
+  const next = (now) => { starts.push(now); requestAnimationFrame(next); };
+  requestAnimationFrame(next);
+  await new Promise((done) => setTimeout(done, 1000 * seconds));
+  return { drawn: starts.length, took: starts.at(-1) - starts[0] };
+}"""
+"""Draws nothing: how many frames the browser asks for, and from the first to the last [ms]."""
 FLAGS = ("--no-sandbox",)
 """Without a graphics card Chromium draws the pages in software. The tests' flags for WebGL, which
 no page but the Rerun viewer's needs, made it draw a sixth as many frames."""
@@ -80,6 +88,9 @@ def _paint(browser, name: str, address: str) -> None:
 
 def _play(browser, address: str) -> None:
     page = browser.new_page(viewport={"width": 1280, "height": 900})
+    empty = page.evaluate(EMPTY, PLAYED_S)
+    asked = 1e3 * (empty["drawn"] - 1) / empty["took"]
+    figure("an empty page: frames that the browser asks for, wall time", asked, "frames/s")
     page.goto(address)
     page.wait_for_selector("[data-replay].ready")
     clock = _Clock(page)
