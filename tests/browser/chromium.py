@@ -15,7 +15,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-DRAWING = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+DRAWING = (
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    # Optimising the viewer's machine code takes more than it brings in half a minute.
+    "--js-flags=--liftoff-only",
+)
 """For WebGL without a graphics card."""
 FLAT = ("--no-sandbox", "--disable-gpu")
 """For pages without WebGL: a third less processor time than with an emulated graphics card."""
