@@ -18,8 +18,8 @@ def shared_out(loop: Callable[..., int], num_rows: int, least: int, *arguments: 
         least: fewest rows that are worth another thread.
         arguments: of the loop.
     """
-    threads = min(num_rows // least, num_threads())
-    if threads < 2:
+    # Single environments come here at each step, so the processors are counted only for many rows.
+    if num_rows < 2 * least or (threads := min(num_rows // least, num_threads())) < 2:
         return loop(0, num_rows, *arguments)
     bounds = [num_rows * part // threads for part in range(threads + 1)]
     pool = _pool(os.getpid(), num_threads())

@@ -18,6 +18,7 @@ from league.sim import records, rng
 from league.sim.physics import planar
 from league.sim.records import World
 from league.sim.settings import settings
+from league.threads import shared_out
 from league.track.track import TrackSet
 
 if TYPE_CHECKING:
@@ -89,6 +90,7 @@ class RaceEnv:
                 "choose a closed track, or a standing start"
             )
         self.tracks, self.cfg, self.num_worlds = tracks, cfg, num_worlds
+        self._per_thread = stages.worlds_per_thread(cfg.sim.num_cars)
         self._reward, self._closed = reward, False
         self._allocate()
         if track_index is None:
@@ -324,8 +326,8 @@ class RaceEnv:
         self._run(stages.SETTLE, actions)
 
     def _run(self, phases: int, actions: np.ndarray) -> None:
-        status = stages.over_worlds(
-            stages.step, self.num_worlds, self.num_cars, phases, actions, *self._step_arrays
+        status = shared_out(
+            stages.step, self.num_worlds, self._per_thread, phases, actions, *self._step_arrays
         )
         if status == stages.FINE:
             return

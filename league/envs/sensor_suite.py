@@ -10,9 +10,10 @@ import numpy as np
 
 from league.envs import observations, state
 from league.envs.config import EnvConfig
-from league.envs.step import over_worlds
+from league.envs.step import worlds_per_thread
 from league.sim.config import FRAME_STEPS, CameraConfig
 from league.sim.records import NOBODY, World
+from league.threads import shared_out
 from league.track.track import TrackSet
 
 if TYPE_CHECKING:  # OpenCV comes late
@@ -105,7 +106,7 @@ class SensorSuite:
             self._fresh.add(name)
             tables = (self._tracks.points, self._tracks.courses, self._computed[name])
             arrays = (world.cars, world.obstacles, world.worlds, *tables)
-            over_worlds(loop, world.num_worlds, world.num_cars, *arrays)
+            shared_out(loop, world.num_worlds, worlds_per_thread(world.num_cars), *arrays)
         return self._computed[name]
 
     def observe(self, world: World) -> None:

@@ -7,7 +7,6 @@ happened in the step. Bullet, and rewards written in Python, take the stages apa
 """
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
@@ -17,7 +16,6 @@ from league.jit import compiled, inner
 from league.portable_math import f32
 from league.sim import grid, referee
 from league.sim.physics import planar
-from league.threads import shared_out
 
 PREPARE, PHYSICS, JUDGE, SETTLE = 1, 2, 4, 8
 """Phases of a step: read the actions; move the cars; judge and pay; penalties or new episodes."""
@@ -225,8 +223,6 @@ def _end_episodes(cars, verdicts, outcomes, rules):
 CARS_PER_THREAD = 256  # fewest cars that are worth another thread
 
 
-def over_worlds(
-    loop: Callable[..., int], num_worlds: int, num_cars: int, *arguments: object
-) -> int:
-    """Run a compiled loop over all worlds, many of them on several threads; see `shared_out`."""
-    return shared_out(loop, num_worlds, max(1, CARS_PER_THREAD // num_cars), *arguments)
+def worlds_per_thread(num_cars: int) -> int:
+    """Return the fewest worlds that are worth another thread."""
+    return max(1, CARS_PER_THREAD // num_cars)

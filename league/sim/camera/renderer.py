@@ -25,7 +25,7 @@ from league.track.track import Rgb, TrackSet
 
 _WHEN_FAR = {scene.CAR: scene.FAR_CAR}
 _MAX_STEERING = math.radians(30)
-PIXELS_PER_THREAD = 1 << 16
+BYTES_PER_THREAD = 1 << 16
 """Fewest bytes of pictures that are worth another thread."""
 _TOUCH = 1e-6  # solids nearer than this touch each other [m]
 _FLAT_RUBBER = len(scene.PAINTS)  # the paint of a wheel's tread: round, so no one light fits it
@@ -103,7 +103,7 @@ class Renderer:
             self._painter.paint(rows[start:stop], pictures, poses, things, floor)
             return 0
 
-        shared_out(some, len(rows), max(1, PIXELS_PER_THREAD // pictures[0].size))
+        shared_out(some, len(rows), max(1, BYTES_PER_THREAD // pictures[0].size))
 
 
 class Painter:
