@@ -1,6 +1,6 @@
 """What a learner on a GPU costs: the worlds' step, copies, cameras, and whole updates.
 
-The worlds stay on the CPU, where pictures are painted. Needs CUDA; run by name alone.
+The worlds stay on the CPU. Needs CUDA and numba-cuda; run by name alone.
 """
 
 from __future__ import annotations
@@ -8,12 +8,15 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
+from unittest.mock import patch
 
 import torch
 
 from benchmarks.report import figure, heading, note
 from benchmarks.training import ROOKIE, learner_config, learnt
+from league.envs.adapters import gpu_camera
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig
 from league.sim.config import CameraConfig, SensorConfig, SimConfig
@@ -61,14 +64,24 @@ def step(tracks: TrackSet, num_worlds: int, device: str, camera: CameraConfig | 
     return taken
 
 
+PAINTED = patch.object(gpu_camera, "available", lambda device: False)
+"""Pictures of a learner on a GPU painted on the CPU and copied, as without numba-cuda."""
+
+
 def steps(tracks: TrackSet) -> None:
     """Print what a step takes by number of worlds, with and without cameras."""
     for num_worlds in WORLDS:
         rows = f"{num_worlds:,} worlds x {CARS}"
-        for device in ("cpu", "cuda"):
-            for camera, words in ((None, "no cameras"), (SEEING, "64x48 stereo")):
+        for device, camera, way, words in (
+            ("cpu", None, nullcontext(), "no cameras, learner on the CPU"),
+            ("cuda", None, nullcontext(), "no cameras, learner on the GPU"),
+            ("cpu", SEEING, nullcontext(), "64x48 stereo, learner on the CPU"),
+            ("cuda", SEEING, PAINTED, "64x48 stereo painted on the CPU, copied"),
+            ("cuda", SEEING, nullcontext(), "64x48 stereo cast on the GPU"),
+        ):
+            with way:
                 taken = step(tracks, num_worlds, device, camera)
-                figure(f"{rows}, {words}, learner on {device}", 1e3 * taken, "ms")
+            figure(f"{rows}, {words}", 1e3 * taken, "ms")
 
 
 def updates(tracks: TrackSet) -> None:
@@ -87,6 +100,8 @@ def main() -> None:
     heading("A learner on a GPU")
     if not torch.cuda.is_available():
         raise SystemExit("this benchmark needs a GPU that CUDA can use, and torch finds none")
+    if not gpu_camera.available(torch.device("cuda")):
+        raise SystemExit("this benchmark needs numba-cuda: pip install numba-cuda[cu13]")
     threads = f"{num_threads()} threads of worlds, {torch.get_num_threads()} of torch"
     note(f"{torch.cuda.get_device_name()}, {threads}, torch {torch.__version__}.")
     tracks = TrackSet(files.load("reinvent_2018"))

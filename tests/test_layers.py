@@ -29,7 +29,13 @@ LAYERS = {
 HEAVY = {
     "rerun": ("rerun_view",),
     "pybullet": ("sim.physics.bullet",),
-    "numba": ("jit", "sim.camera.painting", "sim.camera.raster", "video.pixels"),
+    "numba": (
+        "jit",
+        "envs.adapters.gpu_camera",
+        "sim.camera.painting",
+        "sim.camera.raster",
+        "video.pixels",
+    ),
     "pettingzoo": ("envs.adapters.parallel_env",),
     "rsl_rl": ("envs.adapters.rsl_vec_env", "training"),
     "stable_baselines3": ("envs.adapters.sb3_vec_env",),

@@ -24,6 +24,8 @@ from league.track.track import TrackSet
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from league.sim.camera.renderer import Renderer
+
 Observations = tuple[Mapping[str, np.ndarray], ...]
 """For each car its groups, each with leading axis num_worlds."""
 
@@ -70,6 +72,7 @@ class RaceEnv:
         seed: int = 0,
         track_index: ArrayLike | None = None,
         reward: Reward | None = None,
+        renderers: Mapping[int, Renderer] | None = None,
     ) -> None:
         """Build the worlds and put them on the grid.
 
@@ -80,6 +83,7 @@ class RaceEnv:
             seed: makes the worlds' own seeds, unless `reset` is given some.
             track_index: track of each world, (num_worlds,); by default they take turns.
             reward: None: the built-in terms by the weights of `cfg.reward`.
+            renderers: of cars that do not see by pictures painted here.
         """
         if num_worlds < 1:
             raise ValueError(f"num_worlds is {num_worlds}: give at least 1")
@@ -101,7 +105,7 @@ class RaceEnv:
             from league.sim.physics.bullet import BulletSolver  # late: PyBullet takes a while
 
             self._solver = BulletSolver(cfg.sim, tracks.rooms, num_worlds)
-        self._sensors = SensorSuite(tracks, cfg)
+        self._sensors = SensorSuite(tracks, cfg, renderers)
         self._result = self._result_views()
         self._begin(seed, None)
 

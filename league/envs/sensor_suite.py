@@ -55,9 +55,14 @@ class Groups(Mapping[str, np.ndarray]):
 class SensorSuite:
     """The sensors of all cars, with their last readings; part of RaceEnv's state."""
 
-    def __init__(self, tracks: TrackSet, cfg: EnvConfig) -> None:
-        """Build the sensors that the cars carry; cars with equal cameras share a renderer."""
-        self._tracks, self._cfg = tracks, cfg
+    def __init__(
+        self, tracks: TrackSet, cfg: EnvConfig, renderers: Mapping[int, Renderer] | None = None
+    ) -> None:
+        """Build the sensors that the cars carry; `renderers` are those of some cars' cameras.
+
+        The others are made here; cars with equal cameras share one.
+        """
+        self._tracks, self._cfg, self._given = tracks, cfg, renderers or {}
         self._renderers: dict[CameraConfig, Renderer] = {}
         self._sensors: list[dict[str, tuple[float, Reading]]] = [
             self._sensors_of(car) for car in range(cfg.sim.num_cars)
@@ -197,7 +202,8 @@ class SensorSuite:
         carried = self._cfg.sensors_of(car)
         sensors: dict[str, tuple[float, Reading]] = {}
         if carried.camera is not None:
-            sensors["stereo"] = carried.camera.rate_hz, self._renderer(carried.camera).render
+            renderer = self._given.get(car) or self._renderer(carried.camera)
+            sensors["stereo"] = carried.camera.rate_hz, renderer.render
         if carried.lidar is not None:
             from league.sim import lidar
 

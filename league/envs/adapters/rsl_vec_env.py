@@ -13,13 +13,14 @@ from torch import Tensor
 
 from league.envs import make
 from league.envs.actions import SIZE, ActionSpace, finite, to_actions
-from league.envs.adapters import load_drivers, load_reward
+from league.envs.adapters import gpu_camera, load_drivers, load_reward
 from league.envs.config import EnvConfig, RewardConfig
 from league.envs.driver import Driver, Opponents, check_field
 from league.envs.make import EnvOptions
 from league.envs.race_env import RaceEnv, Step
 from league.envs.scenarios import CLEAN, NO_ATTACK, PASSED
 from league.errors import ConfigError, brief
+from league.sim.camera.raycast import Describer
 from league.sim.config import RaceKind
 from league.sim.records import World
 from league.track.track import Track, TrackSet
@@ -108,12 +109,20 @@ class RacingVecEnv(VecEnv):
             for car in range(cfg.sim.num_cars)
         ]
         self.cfg: EnvConfig = replace(cfg, sensors=tuple(carried))  # type: ignore
+        self.device = torch.device(device)
+        self._gpu_camera, renderers = None, None
+        camera = self.cfg.sensors_of(self.learners[0]).camera
+        if camera is not None and gpu_camera.available(self.device):
+            describer = Describer(tracks, self.cfg.sim, camera, self.cfg.looks)
+            self._gpu_camera = gpu_camera.GpuCamera(describer, camera, self.device)
+            renderers = dict.fromkeys(self.learners, describer)
         self._env = RaceEnv(
             tracks,
             self.cfg,
             num_worlds=num_worlds,
             seed=seed,
             reward=load_reward(reward, tracks, self.cfg, num_worlds, self.learners),
+            renderers=renderers,
         )
         self._as_bytes = as_bytes
         self._columns = list(self.learners)
@@ -121,7 +130,6 @@ class RacingVecEnv(VecEnv):
         self.action_space = action_space
         self.num_actions = SIZE if action_space is None else action_space.size
         self.max_episode_length = self._env.longest_episode
-        self.device = torch.device(device)
         self.watch: Callable[[World], None] | None = None
         """Called with the worlds after each step, restarts included; it must not change them."""
         self.reset(seed)
@@ -164,6 +172,8 @@ class RacingVecEnv(VecEnv):
         groups = {
             name: self._stacked([observed[car][name] for car in self.learners]) for name in names
         }
+        if "stereo" in groups and self._gpu_camera is not None:
+            groups["stereo"] = self._gpu_camera.pictures(groups["stereo"])
         if "stereo" in groups and not self._as_bytes:
             groups["stereo"] = groups["stereo"].to(torch.float32) / 255.0
         return TensorDict(groups, batch_size=[self.num_envs], device=self.device)

@@ -23,12 +23,10 @@ from league.sim.records import World
 from league.threads import shared_out
 from league.track.track import Rgb, TrackSet
 
-_WHEN_FAR = {scene.CAR: scene.FAR_CAR}
 _MAX_STEERING = math.radians(30)
 BYTES_PER_THREAD = 1 << 16
 """Fewest bytes of pictures that are worth another thread."""
 _TOUCH = 1e-6  # solids nearer than this touch each other [m]
-_FLAT_RUBBER = len(scene.PAINTS)  # the paint of a wheel's tread: round, so no one light fits it
 
 
 class Renderer:
@@ -151,13 +149,15 @@ def models(gray: bool) -> Models:
             if paint == scene.HIDDEN:
                 continue
             flat = solid.rounded and paint >= 0 and scene.PAINTS[paint] == scene.RUBBER
-            faces.append((len(corners), len(corners) + len(face), _FLAT_RUBBER if flat else paint))
+            faces.append(
+                (len(corners), len(corners) + len(face), scene.FLAT_RUBBER if flat else paint)
+            )
             corners += [start + vertex for vertex in face]
             planes.append(solid.planes[number])
         stop = start + len(solid.vertices)
         rows.append((start, stop, first_face, len(faces), int(solid.pivot is not None)))
     first_solid = np.cumsum([0, *(len(model.solids) for model in scene.MODELS)]).tolist()
-    when_far = [scene.MODELS.index(_WHEN_FAR.get(model, model)) for model in scene.MODELS]
+    when_far = [scene.MODELS.index(scene.WHEN_FAR.get(model, model)) for model in scene.MODELS]
     flat_rubber = (scene.luma(scene.RUBBER), 0.0, 0.0) if gray else scene.RUBBER
     return Models(
         vertices=vertices,

@@ -90,6 +90,7 @@ class Solid:
 
 PAINTS: tuple[Rgb, ...] = (RUBBER, RIM, CHASSIS, GLASS)  # colours that all cars share
 _RUBBER, _RIM, _CHASSIS, _GLASS = range(4)
+FLAT_RUBBER = len(PAINTS)  # the paint of a wheel's tread: round, so no one light fits it
 
 _HEXAHEDRON = (
     (0, 1, 3, 2),  # front
@@ -192,6 +193,9 @@ BOX = Model((_block(0.5, -0.5, 0.5, 0.0, 1.0, (*[BODY] * 5, HIDDEN)),), 0.5, 0.5
 
 MODELS: tuple[Model, ...] = (CAR, FAR_CAR, BOX)
 """Every model there is; tables name a model by its place in this list."""
+
+WHEN_FAR = {CAR: FAR_CAR}
+"""What a model becomes when it is far."""
 
 FAR_WHEEL_PIXELS = 9.0
 """A car is drawn as FAR_CAR where a wheel's height would be fewer pixels than this."""
