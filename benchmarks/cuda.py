@@ -16,7 +16,7 @@ import torch
 
 from benchmarks.report import figure, heading, note
 from benchmarks.training import ROOKIE, learner_config, learnt
-from league.envs.adapters import gpu_camera
+from league.envs.adapters import rsl_vec_env
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig
 from league.sim.config import CameraConfig, SensorConfig, SimConfig
@@ -64,7 +64,7 @@ def step(tracks: TrackSet, num_worlds: int, device: str, camera: CameraConfig | 
     return taken
 
 
-PAINTED = patch.object(gpu_camera, "available", lambda device: False)
+PAINTED = patch.object(rsl_vec_env, "casts_rays", lambda device: False)
 """Pictures of a learner on a GPU painted on the CPU and copied, as without numba-cuda."""
 
 
@@ -100,7 +100,7 @@ def main() -> None:
     heading("A learner on a GPU")
     if not torch.cuda.is_available():
         raise SystemExit("this benchmark needs a GPU that CUDA can use, and torch finds none")
-    if not gpu_camera.available(torch.device("cuda")):
+    if not rsl_vec_env.casts_rays(torch.device("cuda")):
         raise SystemExit("this benchmark needs numba-cuda: pip install numba-cuda[cu13]")
     threads = f"{num_threads()} threads of worlds, {torch.get_num_threads()} of torch"
     note(f"{torch.cuda.get_device_name()}, {threads}, torch {torch.__version__}.")

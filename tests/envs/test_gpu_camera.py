@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from league.envs.adapters import gpu_camera
+from league.envs.adapters import gpu_camera, rsl_vec_env
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig
 from league.sim.config import CameraConfig, ObstacleConfig, SensorConfig, SimConfig
@@ -27,27 +27,16 @@ LOOKS = Looks(light=0.3, colour=0.3, noise=8.0, blur=0.7)
 NUM_WORLDS = 4
 
 
-class Kernel:
-    """Runs a compiled loop over all pixels in the place of a kernel for one of them."""
-
-    def __init__(self, loop: Any) -> None:
-        self._loop = loop
-
-    def __getitem__(self, launched: tuple[int, int, object]) -> Any:
-        return lambda *arrays: self._loop(*arrays)
-
-
 @pytest.fixture
 def on_the_cpu(monkeypatch):
     """Cast on the CPU what a GPU would cast."""
-    kernels = Kernel(raycast.cast), Kernel(raycast.develop)
 
-    def launch(kernel: Kernel, num_pixels: int, *arguments: Any) -> None:
-        given = [one.numpy() if isinstance(one, torch.Tensor) else one for one in arguments]
-        kernel[1, 1, None](*given)
+    def launch(loop: Any, num_pixels: int, *arguments: Any) -> None:
+        loop(*(one.numpy() if isinstance(one, torch.Tensor) else one for one in arguments))
 
-    monkeypatch.setattr(gpu_camera, "available", lambda device: True)
-    monkeypatch.setattr(gpu_camera, "_kernels", lambda: kernels)
+    monkeypatch.setattr(rsl_vec_env, "casts_rays", lambda device: True)
+    monkeypatch.setattr(gpu_camera, "_cast", raycast.cast)
+    monkeypatch.setattr(gpu_camera, "_develop", raycast.develop)
     monkeypatch.setattr(gpu_camera, "_shared", torch.Tensor.numpy)
     monkeypatch.setattr(gpu_camera, "_launch", launch)
     monkeypatch.setattr(torch.cuda, "device", lambda device: nullcontext())
@@ -95,7 +84,7 @@ def check_close(painted: np.ndarray, cast: np.ndarray) -> None:
 @pytest.mark.parametrize("settings", VARIANTS)
 def test_pictures_cast_later_are_those_cast_at_once(monkeypatch, on_the_cpu, settings):
     later = drive("cpu", **settings)
-    monkeypatch.setattr(gpu_camera, "available", lambda device: False)
+    monkeypatch.setattr(rsl_vec_env, "casts_rays", lambda device: False)
     monkeypatch.setattr("league.sim.camera.renderer.Renderer", raycast.RayRenderer)
     assert np.array_equal(later, drive("cpu", **settings))
 
@@ -103,18 +92,18 @@ def test_pictures_cast_later_are_those_cast_at_once(monkeypatch, on_the_cpu, set
 @pytest.mark.parametrize("settings", VARIANTS)
 def test_cast_pictures_are_like_painted_ones(on_the_cpu, monkeypatch, settings):
     cast = drive("cpu", **settings)
-    monkeypatch.setattr(gpu_camera, "available", lambda device: False)
+    monkeypatch.setattr(rsl_vec_env, "casts_rays", lambda device: False)
     check_close(drive("cpu", **settings), cast)
 
 
 def test_pictures_are_painted_where_no_ray_can_be_cast(monkeypatch):
-    assert not gpu_camera.available(torch.device("cpu"))
-    monkeypatch.setattr(gpu_camera, "find_spec", lambda name: None)
-    assert not gpu_camera.available(torch.device("cuda"))
+    assert not rsl_vec_env.casts_rays(torch.device("cpu"))
+    monkeypatch.setattr(rsl_vec_env, "find_spec", lambda name: None)
+    assert not rsl_vec_env.casts_rays(torch.device("cuda"))
 
 
 @pytest.mark.skipif(
-    not gpu_camera.available(torch.device("cuda" if torch.cuda.is_available() else "cpu")),
+    not rsl_vec_env.casts_rays(torch.device("cuda" if torch.cuda.is_available() else "cpu")),
     reason="no CUDA on this machine, or no numba-cuda",
 )
 @pytest.mark.parametrize("settings", VARIANTS)

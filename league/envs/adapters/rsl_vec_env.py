@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from typing import Any, Unpack
 
 import numpy as np
@@ -13,19 +14,23 @@ from torch import Tensor
 
 from league.envs import make
 from league.envs.actions import SIZE, ActionSpace, finite, to_actions
-from league.envs.adapters import gpu_camera, load_drivers, load_reward
+from league.envs.adapters import load_drivers, load_reward
 from league.envs.config import EnvConfig, RewardConfig
 from league.envs.driver import Driver, Opponents, check_field
 from league.envs.make import EnvOptions
 from league.envs.race_env import RaceEnv, Step
 from league.envs.scenarios import CLEAN, NO_ATTACK, PASSED
 from league.errors import ConfigError, brief
-from league.sim.camera.raycast import Describer
 from league.sim.config import RaceKind
 from league.sim.records import World
 from league.track.track import Track, TrackSet
 
 MISTAKES = ("off_track", "crashed", "pushed_off", "immobilised", "reversed")
+
+
+def casts_rays(device: torch.device) -> bool:
+    """Return whether learners' pictures are ray-cast on a device; else they are painted here."""
+    return device.type == "cuda" and find_spec("numba_cuda") is not None
 
 
 class RacingVecEnv(VecEnv):
@@ -68,7 +73,8 @@ class RacingVecEnv(VecEnv):
             action_space: what the rows' actions mean; None: steering and speed in [-1, 1].
             as_bytes: keep pictures as bytes, a quarter of the memory, for networks that scale them.
             seed: makes the worlds' seeds.
-            device: of the rows' tensors; the worlds themselves stay on the CPU.
+            device: of the rows' tensors; the worlds themselves stay on the CPU. On a GPU the
+                learners' pictures are ray-cast there if numba-cuda is installed; see casts_rays.
             kind: time_trial, obstacle_avoidance or head_to_head.
             sensors: of the learners, such as "stereo64x48" or ("stereo64x48", "lidar").
             options: see league.envs.make.EnvOptions; `reward` is allowed with a `cfg`, too;
@@ -112,10 +118,12 @@ class RacingVecEnv(VecEnv):
         self.device = torch.device(device)
         self._gpu_camera, renderers = None, None
         camera = self.cfg.sensors_of(self.learners[0]).camera
-        if camera is not None and gpu_camera.available(self.device):
-            describer = Describer(tracks, self.cfg.sim, camera, self.cfg.looks)
-            self._gpu_camera = gpu_camera.GpuCamera(describer, camera, self.device)
-            renderers = dict.fromkeys(self.learners, describer)
+        if camera is not None and casts_rays(self.device):
+            from league.envs.adapters.gpu_camera import GpuCamera  # late, with OpenCV
+
+            seen = (tracks, self.cfg.sim, camera, self.cfg.looks)
+            self._gpu_camera = GpuCamera(*seen, self.device)
+            renderers = dict.fromkeys(self.learners, self._gpu_camera.describer)
         self._env = RaceEnv(
             tracks,
             self.cfg,

@@ -177,9 +177,9 @@ def develop_pixel(number, rows, grain, pictures, developed):
     for k in range(channels):
         light = _ZERO
         for row, share in ((above, leak), (line, _ONE - leak - leak), (below, leak)):
-            beside = f32(picture[row, before, k]) + f32(picture[row, after, k])
+            sides = f32(picture[row, before, k]) + f32(picture[row, after, k])
             middle = (_ONE - leak - leak) * f32(picture[row, column, k])
-            light += share * (leak * beside + middle)
+            light += share * (leak * sides + middle)
         light = clamp(light * look[k], _ZERO, _TOP)
         sample = (f32(grain[noise + k]) - _GRAY) / _NOISE_STEP
         developed[n, eye, line, column, k] = _byte(light + strength * sample)
