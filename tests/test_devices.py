@@ -194,11 +194,13 @@ def test_a_device_refuses_tensors_of_another_one():
         assert (there + torch.tensor(1.0)).tolist() == [2.0, 2.0, 2.0]
 
 
-def drive(device: str, *, steps: int = 4, **settings: Any) -> list[object]:
+def drive(device: str, *, steps: int = 4, as_bytes: bool = False, **settings: Any) -> list[object]:
     """Return everything that a batch on a device hands out, step by step."""
     cfg = EnvConfig(mode="training", episode_s=0.2, **settings)
     cars = tuple(range(cfg.sim.num_cars))
-    env = RacingVecEnv(TrackSet(RING), cfg, num_worlds=2, learners=cars, device=device)
+    env = RacingVecEnv(
+        TrackSet(RING), cfg, num_worlds=2, learners=cars, as_bytes=as_bytes, device=device
+    )
     seen: list[object] = [dict(env.get_observations())]
     for step in range(steps):
         actions = torch.full((env.num_envs, 2), 0.1 * step).to(device)
@@ -233,9 +235,11 @@ def test_episodes_are_told_of_rows_of_another_device():
 def test_worlds_hand_the_same_bits_to_a_gpu(monkeypatch, sim):
     # What is cast there has other bits: tests/envs/test_gpu_camera.py.
     monkeypatch.setattr(rsl_vec_env, "casts_rays", lambda device: False)
-    there = list(tensors(drive("cuda", sim=sim, sensors=SEEING)))
+    # As bytes: a GPU divides by 255 in its own way.
+    given: dict[str, Any] = {"sim": sim, "sensors": SEEING, "as_bytes": True}
+    there = list(tensors(drive("cuda", **given)))
     assert {one.device.type for one in there} == {"cuda"}
-    for one, other in zip(there, tensors(drive("cpu", sim=sim, sensors=SEEING)), strict=True):
+    for one, other in zip(there, tensors(drive("cpu", **given)), strict=True):
         assert torch.equal(one.cpu(), other)
 
 

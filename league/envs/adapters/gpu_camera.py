@@ -5,7 +5,11 @@ league do without this package: where it is missing, pictures are painted on the
 """
 
 import math
+import os
 from typing import Any
+
+# Numba warns of small batches when it is imported without this.
+os.environ.setdefault("NUMBA_CUDA_LOW_OCCUPANCY_WARNINGS", "0")
 
 import torch
 from numba import cuda as _numba_cuda
