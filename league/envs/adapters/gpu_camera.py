@@ -5,11 +5,7 @@ league do without this package: where it is missing, pictures are painted on the
 """
 
 import math
-import os
 from typing import Any
-
-# Numba warns of small batches when it is imported without this.
-os.environ.setdefault("NUMBA_CUDA_LOW_OCCUPANCY_WARNINGS", "0")
 
 import torch
 from numba import cuda as _numba_cuda
@@ -21,6 +17,7 @@ from league.sim.config import CameraConfig, SimConfig, VisualRandomization
 from league.track.track import TrackSet
 
 cuda: Any = _numba_cuda
+cuda.config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # small batches are no mistake
 _THREADS = 128  # of a block
 
 
