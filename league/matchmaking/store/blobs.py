@@ -15,8 +15,7 @@ from league.errors import StoreError, explaining
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store.schema import Change, Transactional, blobs
 
-MAX_BYTES = 64 * 1024 * 1024
-"""Largest blob [bytes]."""
+MAX_BYTES = 64 * 1024 * 1024  # largest blob [bytes]
 
 
 def _checked(content: bytes) -> bytes:
