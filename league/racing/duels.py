@@ -67,8 +67,7 @@ class Threshold:
     hold: float
     """Fastest pace of an attacker, as a share of the defender's, that is kept behind in at least
     half of the races; 0: none."""
-    duels: dict[float, Duels]
-    """Results by the defender's pace."""
+    duels: dict[float, Duels]  # results by the defender's pace
 
 
 def from_behind(cfg: DuelConfig, field: Sequence[Driver], top_speeds: Sequence[float]) -> Duels:
