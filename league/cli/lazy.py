@@ -5,8 +5,6 @@ So `league --help` loads none of them, and a command only its own.
 # ruff: noqa: F401, I001
 # pyright: reportUnusedImport=false
 
-from __future__ import annotations
-
 import ast
 import functools
 import importlib

@@ -4,8 +4,6 @@ All of a cup follows from its entrants, its seed and the results of its heats; s
 the bracket plans the same heats, and a cup goes on after a kill like any heat.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Plain data of a league's standings, entries and heats, for `--json` and for the web."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Races outside the season: audits, gauntlets of a checkpoint, comparisons of two drivers."""
 
-from __future__ import annotations
-
 import secrets
 from collections import Counter, deque
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Safety ratings: incident points for each 100 corners over an entry's last races."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

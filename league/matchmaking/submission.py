@@ -4,8 +4,6 @@ An entry is a safetensors file: its header's one metadata key holds the checkpoi
 tensors are the actor's weights. Nothing in it is executed.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -5,8 +5,6 @@ An attacker starts one place of the grid behind a defender that is held to a top
 of a flying lap alone under this top speed, as a share of the attacker's own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

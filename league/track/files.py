@@ -1,7 +1,5 @@
 """Track files: what they may say, how their YAML text is read and written, and load by name."""
 
-from __future__ import annotations
-
 import os
 from functools import lru_cache
 from pathlib import Path

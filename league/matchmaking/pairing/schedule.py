@@ -6,8 +6,6 @@ soon. Informed asks the closest questions. Random ties the whole field together:
 raced only among near equals becomes a chain with ends that drift apart.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal

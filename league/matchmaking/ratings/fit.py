@@ -3,8 +3,6 @@
 `fit` starts from the races alone, `updated` adds a few races to a fit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ Ratings promise that A beats C if A beats B and B beats C. Pearson's chi-square 
 the promise.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ heat's score is the mean over its races, so its five outcomes (two races, ties) 
 belongs together: the worth of a grid slot cancels, and a track that suits one car counts once.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

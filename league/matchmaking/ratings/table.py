@@ -1,7 +1,5 @@
 """Ratings as a table: strengths of a field, how sure they are, and what they were found from."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

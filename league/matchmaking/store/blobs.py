@@ -4,8 +4,6 @@ A blob is written once and never changed. It is hashed again when it is read, so
 swapped file is noticed.
 """
 
-from __future__ import annotations
-
 from contextlib import suppress
 
 import sqlalchemy as sa

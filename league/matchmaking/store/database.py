@@ -7,8 +7,6 @@ tries, measured 1.5 s at the median with 16 writers). In a large league one proc
 and its workers get heats from it and hand results to it.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import re

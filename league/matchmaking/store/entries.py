@@ -1,7 +1,5 @@
 """Entries, their owners, and the tokens by which owners and workers are known over HTTP."""
 
-from __future__ import annotations
-
 import json
 import secrets
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Checks all that standings are computed from against documents, hashes and the ledger."""
 
-from __future__ import annotations
-
 import json
 import zlib
 from collections import Counter, defaultdict

@@ -1,7 +1,5 @@
 """The queue of heats: planned, claimed with a lease, renewed, failed, reaped."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace

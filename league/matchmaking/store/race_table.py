@@ -1,7 +1,5 @@
 """The table of races: each as packed text, with how its cars drove; read as arrays for ratings."""
 
-from __future__ import annotations
-
 import json
 import zlib
 from collections.abc import Iterator, Mapping, Sequence

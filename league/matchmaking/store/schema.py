@@ -4,8 +4,6 @@ A refit reads a million rows of `races`, so they are narrow; documents are in `r
 and heats have numbers in addition to their hashes, so that a race takes tens of bytes.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Generator, Iterable, Mapping
 from contextlib import AbstractContextManager, contextmanager

@@ -5,8 +5,6 @@ pipe each; one that dies is replaced, as actors are. Ray moves jobs and reports,
 database owns results.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os
