@@ -284,7 +284,7 @@ def rerun(replay: Replay, checkpoints: Sequence[str | os.PathLike[str]] = ()) ->
     from league.agents import checkpoint
 
     tracks, car = TrackSet(replay.track), sim_config(replay.spec).car
-    paths = {checkpoint.digest(path): os.fspath(path) for path in checkpoints}
+    paths = {checkpoint.load(path).digest: os.fspath(path) for path in checkpoints}
     drivers = [
         _loaded(entry.model_copy(update={"path": paths.get(entry.digest, entry.path)}), tracks, car)
         for entry in replay.spec.entries
