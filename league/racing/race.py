@@ -216,8 +216,6 @@ class _Batch:
 
 
 class _RunningRace:
-    """One race under way."""
-
     def __init__(self, job: RaceJob, tracks: TrackSet, cfg: EnvConfig) -> None:
         self.spec, self._watch = job.spec, job.watch
         self.result: RaceResult | None = None

@@ -87,7 +87,6 @@ def waits_for(store: Store, entry: LeagueEntry) -> str:
 
 
 def _validations(store: Store, entry: LeagueEntry, ruleset: str) -> list[HeatRecord]:
-    """Return an entry's validation heats under a ruleset."""
     return [
         record
         for record in store.heats(entries=[entry.number])

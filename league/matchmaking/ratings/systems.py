@@ -299,7 +299,6 @@ System = Dense | Sparse
 
 
 def _times(symmetric: sparse.csr_array, vector: np.ndarray) -> np.ndarray:
-    """Return the product of a symmetric table with a vector."""
     known = np.flatnonzero(vector)
     if len(known) > FEW * len(vector):
         return symmetric @ vector

@@ -112,8 +112,6 @@ Executor = SlotExecutor[Any]  # workers of any kind
 
 @dataclass(kw_only=True)
 class _Process(Slot):
-    """One worker process."""
-
     process: BaseProcess
     pipe: Connection
     ready: bool = False
@@ -212,8 +210,6 @@ def _work(pipe: Connection) -> None:
 
 @dataclass(kw_only=True)
 class _Actor(Slot):
-    """One actor."""
-
     actor: Any
     answer: Any = None
 
