@@ -41,7 +41,7 @@ def test_card_is_shown_as_a_table_and_as_json(league, blind):
     code, out, _ = league("card", "a.pt", "--json")
     told = json.loads(out)
     assert told["card"]["name"] == "blind"
-    assert told["digest"] == checkpoint.digest(path)
+    assert told["digest"] == checkpoint.load(path).digest
 
 
 def test_export_writes_beside_the_checkpoint_or_where_told(league, blind, tmp_path):
@@ -102,7 +102,7 @@ def test_policy_is_raced_and_shown_by_its_files_name(league, blind):
     told = json.loads(out)
     assert code == 0
     policy, scripted = told["spec"]["entries"]
-    assert policy == {"name": "a", "digest": checkpoint.digest(path), "path": "a.pt"}
+    assert policy == {"name": "a", "digest": checkpoint.load(path).digest, "path": "a.pt"}
     assert scripted == {"name": "centerline", "digest": "", "path": ""}
     assert {car["name"] for car in told["order"]} == {"a", "centerline"}
 
@@ -114,7 +114,7 @@ def test_race_is_verified_with_the_policy_it_was_driven_by(league, blind, tmp_pa
     path.rename(tmp_path / "elsewhere.pt")
     code, _, err = league("verify", "x.race")
     assert code == 2
-    assert checkpoint.digest(tmp_path / "elsewhere.pt")[:12] in err
+    assert checkpoint.load(tmp_path / "elsewhere.pt").digest[:12] in err
     assert "--policies" in err
     assert err.count("\n") == 1
     assert league("verify", "x.race", "--policies", "elsewhere.pt")[0] == 0

@@ -137,7 +137,7 @@ class Checkpoint:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the content: the card's text, then name, shape and numbers of each weight."""
+        """SHA-256 of the card's text, then of name, shape and numbers of each weight."""
         content = hashlib.sha256(b"league checkpoint 1\n")
         content.update(struct.pack("<Q", len(self.text)) + self.text.encode("ascii"))
         for name in sorted(self.weights):
@@ -175,11 +175,6 @@ def load(path: str | os.PathLike[str]) -> Checkpoint:
     what = name if len(name) <= 200 else f"{name[:60]}...{name[-137:]}"
     with refusing(what, "give a .pt file as `league train` writes it"):
         return _parsed(_content(Path(path)))
-
-
-def digest(checkpoint: str | os.PathLike[str] | Checkpoint) -> str:
-    """Return the SHA-256 that names a checkpoint in a league; PolicyError if it is not sound."""
-    return (checkpoint if isinstance(checkpoint, Checkpoint) else load(checkpoint)).digest
 
 
 @contextmanager

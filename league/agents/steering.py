@@ -197,7 +197,6 @@ def _model(
 
 
 def _exponential(matrices: np.ndarray) -> np.ndarray:
-    """Return e to the power of each matrix."""
     part = matrices / 2.0**_HALVINGS
     square = _product(part, part)
     power = np.eye(matrices.shape[-1]) + part + square / 2 + _product(square, part) / 6

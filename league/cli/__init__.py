@@ -1,7 +1,5 @@
 """The command line, `league ...`: runs a command, and turns errors into one sentence."""
 
-from __future__ import annotations
-
 import os
 import sys
 

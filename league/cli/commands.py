@@ -1,7 +1,5 @@
 """All commands: parses a command line and runs its command."""
 
-from __future__ import annotations
-
 import atexit
 import gc
 import importlib

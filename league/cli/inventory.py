@@ -170,9 +170,9 @@ class ShowCard:
         loaded = lazy.checkpoint.load(lazy.roster.checkpoint_path(self.checkpoint))
         if self.json:
             card = loaded.card.model_dump(mode="json")
-            print(json.dumps({"digest": lazy.checkpoint.digest(loaded), "card": card}, indent=2))
+            print(json.dumps({"digest": loaded.digest, "card": card}, indent=2))
             return
-        tables.table(self.checkpoint, ("", "card"), _lines(loaded, lazy.checkpoint.digest(loaded)))
+        tables.table(self.checkpoint, ("", "card"), _lines(loaded))
 
 
 @dataclass
@@ -227,14 +227,14 @@ class Export(OnLeague):
         print(f"Network: {output}   ({output.stat().st_size / 1024:.0f} kB)")
 
 
-def _lines(loaded: lazy.checkpoint.Checkpoint, digest: str) -> list[tuple[str, str]]:
+def _lines(loaded: lazy.checkpoint.Checkpoint) -> list[tuple[str, str]]:
     """Return the lines of the card: name and text."""
     card = loaded.card
     numbers = sum(weight.size for weight in loaded.weights.values())
     data = card.model_dump(mode="json")
     lines = [
         ("name", card.name),
-        ("digest", digest),
+        ("digest", loaded.digest),
         ("trained on", f"{', '.join(card.tracks) or 'unknown'} ({card.kind})"),
         ("reward", card.reward.name if card.reward else "unknown"),
         ("training", f"{card.steps:,} decisions in {card.train_s:.0f} s, seed {card.seed}"),

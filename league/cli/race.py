@@ -226,7 +226,7 @@ def entries(drivers: Sequence[str]) -> list[dict[str, str]]:
         if driver.endswith(".pt"):
             entry["path"] = driver  # not of the garage's: every machine has them under their names
         if driver.endswith(".pt") or driver in shipped:
-            entry["digest"] = lazy.checkpoint.digest(shipped.get(driver, driver))
+            entry["digest"] = lazy.checkpoint.load(shipped.get(driver, driver)).digest
         result.append(entry)
     return result
 

@@ -3,8 +3,6 @@
 Ranges are wider than the console's where the original's own code accepted more.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from typing import Any, Literal

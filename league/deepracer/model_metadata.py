@@ -4,8 +4,6 @@ Missing keys have the original's defaults: discrete, clipped_ppo, the shallow ne
 "observation".
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Mapping

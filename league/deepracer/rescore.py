@@ -5,8 +5,6 @@ crashed is taken from one step earlier, because it has been moved since; all els
 the race, up to the rounding of the file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -16,23 +16,19 @@ def _weight(default: float) -> float:
 class RewardConfig(Checked, what="reward"):
     """Weights of the built-in reward terms (league/envs/rewards.py)."""
 
-    progress: float = _weight(1.0)
-    """For each metre along the track, signed."""
+    progress: float = _weight(1.0)  # for each metre along the track, signed
     centerline: float = _weight(0.0)
     """For each step, by the classic three bands about the centreline."""
-    lap: float = _weight(0.0)
-    """For each complete lap."""
+    lap: float = _weight(0.0)  # for each complete lap
     overtake: float = _weight(0.0)
     """For each car passed on the road, and against for each that passed; a faster car, by CAR's
     top speed, does not count."""
     gain: float = _weight(0.0)
     """For each metre gained on a car that is near and no faster, whether ahead or behind."""
-    off_track: float = _weight(-1.0)
-    """For leaving the road, unless pushed off it."""
+    off_track: float = _weight(-1.0)  # for leaving the road, unless pushed off it
     crash: float = _weight(-1.0)
     """For a contact that a race penalises, or for pushing another car off the road."""
-    contact: float = _weight(0.0)
-    """For being hit by another car."""
+    contact: float = _weight(0.0)  # for being hit by another car
     touch: float = _weight(0.0)
     """For each step of a contact with another car to blame for, however light."""
     closing: float = _weight(0.0)

@@ -16,8 +16,7 @@ class Driver(Protocol):
     A driver may remember earlier steps; its memory is its own and leaves with `reset`.
     """
 
-    name: str
-    """Shown to people."""
+    name: str  # shown to people
     sensors: SensorConfig
     """What its car carries; own motion and the `state` group are always observed."""
 

@@ -36,8 +36,7 @@ Carried = SensorConfig | Sensor | Sequence[Sensor] | None
 Sensors = Carried | Mapping[str, Carried] | Sequence[SensorConfig]
 """The same for all cars, or for each by its name (car_0, ...) or in order."""
 
-BOTH: tuple[Sensor, ...] = ("stereo", "lidar")
-"""Default sensors of a car."""
+BOTH: tuple[Sensor, ...] = ("stereo", "lidar")  # default sensors of a car
 SENSOR_NAMES = (
     "stereoWxH, monoWxH, leftWxH, stereo, lidar, sectors, discretised, historyN, framesN, truth"
 )
@@ -46,10 +45,8 @@ SENSOR_NAMES = (
 class EnvOptions(TypedDict, total=False):
     """Options of the adapters besides track, kind and sensors; all have defaults."""
 
-    solver: SolverName
-    """Physics: bullet, rigid bodies, or planar, for training at scale."""
-    laps: int
-    """Laps of a race, or of an episode in training."""
+    solver: SolverName  # physics: bullet, rigid bodies, or planar, for training at scale
+    laps: int  # laps of a race, or of an episode in training
     start: StartName
     """Where a race starts: standing, one behind the other, or pursuit, spread evenly round the lap,
     each with laps of its own; episodes of training begin elsewhere."""
@@ -58,8 +55,7 @@ class EnvOptions(TypedDict, total=False):
     reward: RewardConfig | Reward | str | os.PathLike[str] | None
     """Weights of the reward terms, a built-in reward's name, the path of a reward file, or a Reward
     of your own."""
-    mode: Mode
-    """In a race a mistake costs penalty seconds; in training it ends the car's episode."""
+    mode: Mode  # in a race a mistake costs penalty seconds; in training it ends the car's episode
     obstacles: int | ObstacleConfig | None
     """Boxes on the track, by their number or their settings, among which any number of cars drives;
     None: six in obstacle_avoidance, else none, unless `sim` holds others."""

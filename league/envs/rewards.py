@@ -40,8 +40,7 @@ ROWS = 1024  # rows of a line's table
 _ZERO, _ONE, _HALF, _QUARTER, _TENTH = f32(0.0), f32(1.0), f32(0.5), f32(0.25), f32(0.1)
 _LEAST_BAND = f32(0.001)
 
-Paid = tuple[ndarray, dict[str, ndarray]]
-"""What a Reward returns for a step."""
+Paid = tuple[ndarray, dict[str, ndarray]]  # what a Reward returns for a step
 
 
 class Reward(Protocol):

@@ -48,8 +48,7 @@ _PARTED = f32(0.4)
 """An attacker starts this far behind its target, and has passed when this far ahead [m]."""
 _LEAST_FAST, _ROADBLOCK = f32(0.85), (f32(0.15), f32(0.75))
 _SLOWEST, _FASTER, _SPREAD = f32(0.3), f32(0.7), f32(0.15)
-_AT_REST = f32(0.3)
-"""Share of cars alone that begin at rest, as after a penalty."""
+_AT_REST = f32(0.3)  # share of cars alone that begin at rest, as after a penalty
 _START, _END = f32(0.2), f32(0.5)
 _STEEPEST = f32(0.3)
 _LOOK = np.array((0.0, 0.4, 0.8, 1.2), np.float32)

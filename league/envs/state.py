@@ -5,10 +5,8 @@ Its layout is a contract: scripted drivers and docs/observations.md read it by t
 
 LOOKAHEADS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 """Distances ahead of the car at which the track's curvature is reported [m]."""
-NEIGHBOURS = 3
-"""Nearest other cars that are reported, ahead or behind, by distance along the track."""
-NEAR_OBSTACLES = 2
-"""Next obstacles ahead that are reported."""
+NEIGHBOURS = 3  # nearest other cars that are reported, ahead or behind, by distance along the track
+NEAR_OBSTACLES = 2  # next obstacles ahead that are reported
 
 FIELDS = (
     "s",  # place along the track [m]
@@ -36,5 +34,4 @@ FIELDS = (
 )
 SIZE = len(FIELDS)
 INDEX = {name: place for place, name in enumerate(FIELDS)}
-ABSENT_GAP = 20.0
-"""Gap of a car or an obstacle that is not there [m]."""
+ABSENT_GAP = 20.0  # gap of a car or an obstacle that is not there [m]

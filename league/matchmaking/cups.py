@@ -4,8 +4,6 @@ All of a cup follows from its entrants, its seed and the results of its heats; s
 the bracket plans the same heats, and a cup goes on after a kill like any heat.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,12 +16,9 @@ from league.matchmaking import documents
 from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
 from league.matchmaking.store import RATED, Cup, HeatState, LeagueEntry, Store
 
-DRAWS = 4096
-"""Heats of a cup at most; heat k of cup n has the draw n * DRAWS + k."""
-HEAT_OF, ADVANCE = 4, 2
-"""Cars of a knock-out heat, and those of them that advance."""
-LEAST, MOST = 2, 1024
-"""Entrants of a cup."""
+DRAWS = 4096  # heats of a cup at most; heat k of cup n has the draw n * DRAWS + k
+HEAT_OF, ADVANCE = 4, 2  # cars of a knock-out heat, and those of them that advance
+LEAST, MOST = 2, 1024  # entrants of a cup
 
 
 @dataclass(frozen=True)
@@ -31,28 +26,21 @@ class CupResult:
     """How an entrant did in a heat."""
 
     entry: str
-    seed: int
-    """Its place after qualifying, from 1; 0 in qualifying."""
-    places: tuple[int, ...] = ()
-    """Its place in each race."""
-    lap_s: float | None = None
-    """Its best lap in qualifying [s]; None without a complete lap."""
-    distance: float = 0.0
-    """Driven in qualifying [m]."""
-    advances: bool = False
-    """Whether it goes on, or has won the final."""
+    seed: int  # its place after qualifying, from 1; 0 in qualifying
+    places: tuple[int, ...] = ()  # its place in each race
+    lap_s: float | None = None  # its best lap in qualifying [s]; None without a complete lap
+    distance: float = 0.0  # driven in qualifying [m]
+    advances: bool = False  # whether it goes on, or has won the final
 
 
 @dataclass(frozen=True)
 class CupHeat:
     """A heat of a cup."""
 
-    number: int | None
-    """Of the heat; None before it is planned."""
+    number: int | None  # of the heat; None before it is planned
     state: HeatState | None
     track: str
-    runs: tuple[CupResult, ...]
-    """Best first once it is over, before that in grid order."""
+    runs: tuple[CupResult, ...]  # best first once it is over, before that in grid order
 
 
 @dataclass(frozen=True)
@@ -74,8 +62,7 @@ class Bracket:
 
     stages: tuple[CupStage, ...]
     """Qualifying first; later stages appear when the one before is over."""
-    due: Sequence[Heat]
-    """The heats of the last of them."""
+    due: Sequence[Heat]  # the heats of the last of them
     order: tuple[str, ...] = ()
     """Ids of the entries by how far they came, the winner first; empty before the end."""
 

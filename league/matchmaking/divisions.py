@@ -87,11 +87,9 @@ class _Table:
     settings: SeasonSettings
     fitted: Ratings
     safety: Mapping[int, Safety]
-    order: Sequence[int]
-    """Entries, best first, as the standings list them."""
+    order: Sequence[int]  # entries, best first, as the standings list them
     division: dict[int, int] = field(default_factory=dict)
-    reasons: dict[int, str] = field(default_factory=dict)
-    """Why each entry moved last."""
+    reasons: dict[int, str] = field(default_factory=dict)  # why each entry moved last
 
     def fill(self, current: Mapping[int, int]) -> None:
         """Assign all entries: from the start, or beginning with where they are."""

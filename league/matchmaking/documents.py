@@ -1,7 +1,5 @@
 """Plain data of a league's standings, entries and heats, for `--json` and for the web."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,8 +9,7 @@ from league.matchmaking.scores import pole
 from league.matchmaking.standings import Standings
 from league.matchmaking.store import HeatRecord, LeagueEntry
 
-FIT_FIELDS = ("chi_square", "freedom", "p_value", "rejected")
-"""Numbers of the test of fit."""
+FIT_FIELDS = ("chi_square", "freedom", "p_value", "rejected")  # numbers of the test of fit
 
 
 def plain(value: object) -> Any:  # noqa: ANN401

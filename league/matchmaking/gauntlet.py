@@ -1,7 +1,5 @@
 """Races outside the season: audits, gauntlets of a checkpoint, comparisons of two drivers."""
 
-from __future__ import annotations
-
 import secrets
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
@@ -23,8 +21,7 @@ from league.matchmaking.store import RATED, HeatOutcome, HeatRecord, LeagueEntry
 from league.matchmaking.workers import Executor
 from league.matchmaking.workers.worker import HeatDriver, HeatJob, check_physics
 
-TRIES = 3
-"""Tries of a heat that is not in the store's queue."""
+TRIES = 3  # tries of a heat that is not in the store's queue
 NEWCOMER_SD = 200.0
 """How far from the field a newcomer may be, at least, before it has raced [Elo].
 
@@ -154,24 +151,15 @@ def points_of(heat: HeatJob, outcome: HeatOutcome, id: str) -> list[float]:
 class GauntletResult:
     """How a newcomer did against the field."""
 
-    elo: float
-    """Its strength [Elo]."""
-    low95: float
-    """Lower end of the 95 % interval [Elo]."""
-    high95: float
-    """Upper end of the 95 % interval [Elo]."""
-    provisional: bool
-    """Known to worse than sd 50, or not connected to the anchor."""
-    one_sided: bool
-    """Won, or lost, every race: read the number as "at least", or "at most"."""
-    rank: int
-    """Where that would put it."""
-    best_rank: int
-    """The best rank that the races allow."""
-    worst_rank: int
-    """The worst rank that the races allow."""
-    against: tuple[tuple[str, int, float], ...]
-    """Name, races and points against each opponent."""
+    elo: float  # its strength [Elo]
+    low95: float  # lower end of the 95 % interval [Elo]
+    high95: float  # upper end of the 95 % interval [Elo]
+    provisional: bool  # known to worse than sd 50, or not connected to the anchor
+    one_sided: bool  # won, or lost, every race: read the number as "at least", or "at most"
+    rank: int  # where that would put it
+    best_rank: int  # the best rank that the races allow
+    worst_rank: int  # the worst rank that the races allow
+    against: tuple[tuple[str, int, float], ...]  # name, races and points against each opponent
 
 
 def opponents(store: Store, *, most: int = 8) -> list[LeagueEntry]:

@@ -29,10 +29,8 @@ if TYPE_CHECKING:
     HeatSource = Store | RemoteQueue
     """Where a dispatcher gets heats from."""
 
-PLAN_EVERY_S = 5.0
-"""Interval at which new submissions are looked for while no heat ends [s]."""
-KEPT = 256
-"""Drivers kept in memory for the next job."""
+PLAN_EVERY_S = 5.0  # interval at which new submissions are looked for while no heat ends [s]
+KEPT = 256  # drivers kept in memory for the next job
 MOST_LOSSES = 10
 """Workers killed while they race a heat before that counts as a failed try: the kernel also kills
 processes that take too much memory."""
@@ -45,10 +43,8 @@ class RunningHeat:
     """A heat that a worker races."""
 
     claim: HeatRecord
-    names: tuple[str, ...]
-    """Names of the entries, in the grid order of the first race."""
-    since_s: float
-    """When it began, on time.monotonic's clock [s]."""
+    names: tuple[str, ...]  # names of the entries, in the grid order of the first race
+    since_s: float  # when it began, on time.monotonic's clock [s]
 
 
 @dataclass(frozen=True)
@@ -57,8 +53,7 @@ class FinishedHeat:
 
     running: RunningHeat
     report: HeatReport
-    became: str
-    """A field of Received; or planned (again), error."""
+    became: str  # a field of Received; or planned (again), error
 
 
 class Dispatcher:
@@ -167,22 +162,14 @@ def heat_driver(store: HeatSource, entry: LeagueEntry) -> HeatDriver:
 class Tally:
     """What a run has done so far."""
 
-    heats: int = 0
-    """Heats with results that were taken in."""
-    races: int = 0
-    """Their races."""
-    race_s: float = 0.0
-    """Race time driven [s]."""
-    worker_s: float = 0.0
-    """Time workers spent on them [s]."""
-    failures: int = 0
-    """Tries that failed."""
-    errors: int = 0
-    """Heats given up after three tries."""
-    quarantined: int = 0
-    """Heats with results that contradict each other."""
-    idle: bool = False
-    """Whether there was nothing more to race."""
+    heats: int = 0  # heats with results that were taken in
+    races: int = 0  # their races
+    race_s: float = 0.0  # race time driven [s]
+    worker_s: float = 0.0  # time workers spent on them [s]
+    failures: int = 0  # tries that failed
+    errors: int = 0  # heats given up after three tries
+    quarantined: int = 0  # heats with results that contradict each other
+    idle: bool = False  # whether there was nothing more to race
 
     def add(self, finished: FinishedHeat) -> None:
         """Count a heat that a worker has reported on."""

@@ -28,18 +28,13 @@ from league.race_spec import FrozenModel
 from league.sim import PHYSICS
 
 TOKEN = re.compile(r"league_[A-Za-z0-9_-]{43}")
-HERE = ("127.0.0.1", "localhost", "::1")
-"""Hosts to which a token may travel unencrypted."""
-TIMEOUT_S = 60.0
-"""Longest silence of a server [s]."""
-MOST_ANSWER = 128 << 20
-"""Bytes of an answer that are read."""
-BUSY = (429, 502, 503, 504)
-"""Answers after which the same request may succeed later."""
+HERE = ("127.0.0.1", "localhost", "::1")  # hosts to which a token may travel unencrypted
+TIMEOUT_S = 60.0  # longest silence of a server [s]
+MOST_ANSWER = 128 << 20  # bytes of an answer that are read
+BUSY = (429, 502, 503, 504)  # answers after which the same request may succeed later
 _Answer = TypeVar("_Answer")
 WORK = "/api/v1/work"
-IDLE_S = 2.0
-"""A league without heats is asked again after this time [s]."""
+IDLE_S = 2.0  # a league without heats is asked again after this time [s]
 
 
 class _NoRedirects(urllib.request.HTTPRedirectHandler):
@@ -53,11 +48,9 @@ class _NoRedirects(urllib.request.HTTPRedirectHandler):
 class Client:
     """A served league."""
 
-    url: str
-    """Its address, without a slash at the end."""
+    url: str  # its address, without a slash at the end
     token: str = field(repr=False)
-    patience_s: float = 0.0
-    """How long a request is repeated while the server is busy or away [s]."""
+    patience_s: float = 0.0  # how long a request is repeated while the server is busy or away [s]
     sleep: Callable[[float], None] = time.sleep
 
     @classmethod

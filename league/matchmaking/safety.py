@@ -1,7 +1,5 @@
 """Safety ratings: incident points for each 100 corners over an entry's last races."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,14 +8,10 @@ import numpy as np
 from league.matchmaking.store import Drives, Store
 from league.track import files
 
-RACES = 50
-"""Newest rated races of an entry that count."""
-BEST = 5.0
-"""Safety rating of an entry without incidents."""
-HALF = 20.0
-"""Incident points for each 100 corners that halve it."""
-ENOUGH_CORNERS = 100.0
-"""Corners from which on a safety rating is more than a guess."""
+RACES = 50  # newest rated races of an entry that count
+BEST = 5.0  # safety rating of an entry without incidents
+HALF = 20.0  # incident points for each 100 corners that halve it
+ENOUGH_CORNERS = 100.0  # corners from which on a safety rating is more than a guess
 
 
 @dataclass(frozen=True)
@@ -60,10 +54,8 @@ def of(store: Store, ruleset: str | None = None, *, before: int | None = None) -
 class Record:
     """Safety ratings, and what they are made of, so that later races can be added."""
 
-    by_entry: dict[int, Safety]
-    """Of each entry that raced, by its number."""
-    drives: Drives
-    """Those that count, entry by entry, the newest first."""
+    by_entry: dict[int, Safety]  # of each entry that raced, by its number
+    drives: Drives  # those that count, entry by entry, the newest first
 
 
 def rated(drives: Drives, tracks: Sequence[str], earlier: Record | None = None) -> Record:

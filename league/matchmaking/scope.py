@@ -20,12 +20,9 @@ are retrained, and a rating is a comparison with a field that changes, too."""
 class RatingScope:
     """What ratings are made of: a season's races, and what was known before them."""
 
-    races: Races
-    """Rated races."""
-    season: Season | None
-    """None in a league without seasons: all its races count."""
-    carried: Carried | None
-    """Ratings of the season before, if it had the same rules."""
+    races: Races  # rated races
+    season: Season | None  # None in a league without seasons: all its races count
+    carried: Carried | None  # ratings of the season before, if it had the same rules
 
 
 def scope(
@@ -76,14 +73,10 @@ class Runs:
     """How the races of each entry went, by its number."""
 
     tracks: tuple[str, ...]
-    first: np.ndarray
-    """Races in which it came first, (numbers,)."""
-    known: np.ndarray
-    """Races of which it is known, (numbers,)."""
-    finished: np.ndarray
-    """Races in which all laps were driven, (numbers,)."""
-    laps_ms: np.ndarray
-    """Best lap, and best clean lap, infinite for none, (2, tracks, numbers)."""
+    first: np.ndarray  # races in which it came first, (numbers,)
+    known: np.ndarray  # races of which it is known, (numbers,)
+    finished: np.ndarray  # races in which all laps were driven, (numbers,)
+    laps_ms: np.ndarray  # best lap, and best clean lap, infinite for none, (2, tracks, numbers)
 
     @classmethod
     def of(cls, races: Races, tracks: tuple[str, ...], entries: Sequence[LeagueEntry]) -> Runs:

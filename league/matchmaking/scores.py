@@ -27,14 +27,10 @@ class RaceScore:
     """An entry's rated race."""
 
     heat: int
-    race: int
-    """Number of the race within the heat, from 1."""
-    track: str
-    """Name of the track; empty if it is none of the ruleset's."""
-    points: float
-    """Opponents it came in ahead of, ties half."""
-    expected: float
-    """Points that the ratings promise it, grid slots included."""
+    race: int  # number of the race within the heat, from 1
+    track: str  # name of the track; empty if it is none of the ruleset's
+    points: float  # opponents it came in ahead of, ties half
+    expected: float  # points that the ratings promise it, grid slots included
 
 
 def race_scores(
@@ -178,8 +174,7 @@ class Boards:
 
     laps: dict[str, list[BestLap]]
     """The fastest clean lap of each entry, the fastest first, by track."""
-    last: dict[str, int]
-    """Races.last of each ruleset, by its hash."""
+    last: dict[str, int]  # Races.last of each ruleset, by its hash
 
 
 def time_attack(
@@ -211,22 +206,14 @@ def time_attack(
 class Pole:
     """How much of the results the first slot of the grid decides."""
 
-    races: int
-    """Rated races of two cars or more."""
-    won: float
-    """Share of them won from the first slot, a shared win in part."""
-    low95: float
-    """Lower end of its 95 % interval (Wilson, as if races were independent)."""
-    high95: float
-    """Upper end of it."""
-    even: float
-    """The share that a slot without any advantage wins: one over the number of cars."""
-    elo: float
-    """What the first slot is worth over the mean of all slots, drivers being equal [Elo]."""
-    elo_low95: float
-    """Lower end of its 95 % interval [Elo]."""
-    elo_high95: float
-    """Upper end of it [Elo]."""
+    races: int  # rated races of two cars or more
+    won: float  # share of them won from the first slot, a shared win in part
+    low95: float  # lower end of its 95 % interval (Wilson, as if races were independent)
+    high95: float  # upper end of it
+    even: float  # the share that a slot without any advantage wins: one over the number of cars
+    elo: float  # what the first slot is worth over the mean of all slots, drivers being equal [Elo]
+    elo_low95: float  # lower end of its 95 % interval [Elo]
+    elo_high95: float  # upper end of it [Elo]
 
 
 def pole(rated: Standings) -> Pole | None:

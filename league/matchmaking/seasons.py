@@ -1,7 +1,5 @@
 """Seasons: begun, ended, and frozen as a document of standings and trophies."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any

@@ -17,8 +17,7 @@ from league.matchmaking.ratings.table import Strengths
 from league.matchmaking.scope import RatingScope, Runs, scope
 from league.matchmaking.store import RATED, EntryState, LeagueEntry, Races, Season, Store
 
-ENTRY_FIELDS = ("id", "name", "owner", "anchor", "state")
-"""What a line takes from its entry."""
+ENTRY_FIELDS = ("id", "name", "owner", "anchor", "state")  # what a line takes from its entry
 RATING_FIELDS = (
     "elo", "sd", "low95", "high95", "listed_by", "provisional", "connected", "one_sided", "races",
 )  # fmt: skip
@@ -76,19 +75,13 @@ class Row:
 class Standings:
     """A league's table, and what it was made of."""
 
-    rows: tuple[Row, ...]
-    """Best first; the provisional ones by rating - 2 sd."""
+    rows: tuple[Row, ...]  # best first; the provisional ones by rating - 2 sd
     ratings: Ratings
-    goodness: Goodness
-    """Whether one number a driver explains the results."""
-    ruleset: str
-    """Hash of the ruleset they belong to."""
-    num_races: int
-    """Rated races that count."""
-    races: Races
-    """The races as the store has them."""
-    runs: Runs = field(repr=False)
-    """How the races of each entry went."""
+    goodness: Goodness  # whether one number a driver explains the results
+    ruleset: str  # hash of the ruleset they belong to
+    num_races: int  # rated races that count
+    races: Races  # the races as the store has them
+    runs: Runs = field(repr=False)  # how the races of each entry went
     tracks: tuple[str, ...] = ()
     season: Season | None = None
     """The season that the races belong to; None in a league without seasons."""
@@ -294,8 +287,7 @@ class HeadToHead:
         return HeadToHead(self.races, lost, self.ties, self.races - self.expected, -self.residual)
 
 
-UNMET = HeadToHead(0, 0, 0, 0.0, 0.0)
-"""The record of two entries that never met."""
+UNMET = HeadToHead(0, 0, 0, 0.0, 0.0)  # the record of two entries that never met
 
 
 def head_to_head(standings: Standings, one: int, other: int) -> HeadToHead:
@@ -307,17 +299,12 @@ def head_to_head(standings: Standings, one: int, other: int) -> HeadToHead:
 class OwnRaces:
     """An entry's rated races by heat and half, seen from its seat; all but two (races, cars)."""
 
-    number: int
-    """Of the entry."""
+    number: int  # of the entry
     races: Races
-    slot: np.ndarray
-    """Where it stood on the grid, (races, 1)."""
-    met: np.ndarray
-    """Whether a car is another entry's."""
-    points: np.ndarray
-    """Its points against each car: 1, 0.5 for a tie, or 0."""
-    strengths: np.ndarray
-    """What the ratings, and the grid slots, give each car [Elo]."""
+    slot: np.ndarray  # where it stood on the grid, (races, 1)
+    met: np.ndarray  # whether a car is another entry's
+    points: np.ndarray  # its points against each car: 1, 0.5 for a tie, or 0
+    strengths: np.ndarray  # what the ratings, and the grid slots, give each car [Elo]
 
     @property
     def expected(self) -> np.ndarray:

@@ -4,8 +4,6 @@ An entry is a safetensors file: its header's one metadata key holds the checkpoi
 tensors are the actor's weights. Nothing in it is executed.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -24,18 +22,14 @@ from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import LeagueEntry, Quota, Store
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig, SimConfig
 
-MAX_HEADER = 64 << 10
-"""Bytes of the header, which holds the card and the tensors' places."""
-PROBE_S = 0.025
-"""Time a decision may take on one core [s]; a car decides every 67 ms."""
+MAX_HEADER = 64 << 10  # bytes of the header, which holds the card and the tensors' places
+PROBE_S = 0.025  # time a decision may take on one core [s]; a car decides every 67 ms
 DRIVING = {"sensors", "action_space", "network"}
 """Fields of a card that a policy's driving depends on."""
-SKETCH = 64
-"""Numbers of a sketch, which estimates distances to about 10 %."""
+SKETCH = 64  # numbers of a sketch, which estimates distances to about 10 %
 NEAR_COPY = 0.01
 """Weights this near to those of another entry, relative to their norm, are labelled a near-copy."""
-MAX_PICTURE = 160 * 120
-"""Pixels of each eye under stock sensors."""
+MAX_PICTURE = 160 * 120  # pixels of each eye under stock sensors
 
 
 def pack(given: Checkpoint) -> bytes:

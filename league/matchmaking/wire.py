@@ -17,12 +17,9 @@ from league.matchmaking.workers.worker import race_outcome
 from league.race_spec import CarResult, FrozenModel, printable
 from league.sim.config import MAX_CARS
 
-MOST_HEATS = 64
-"""Heats of one message."""
-MOST_REPLAY = 4 << 20
-"""Bytes of a recording that a worker may send, as Base64."""
-Key = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
-"""SHA-256."""
+MOST_HEATS = 64  # heats of one message
+MOST_REPLAY = 4 << 20  # bytes of a recording that a worker may send, as Base64
+Key = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]  # SHA-256
 WorkerName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.\-]{1,80}$")]
 """Unique among the workers of a token."""
 LeaseS = Annotated[float, Field(ge=1, le=600)]
@@ -32,10 +29,8 @@ class Claim(FrozenModel):
     """Asks for heats."""
 
     worker: WorkerName
-    limit: Annotated[int, Field(ge=1, le=MOST_HEATS)] = 1
-    """Heats at most."""
-    lease_s: LeaseS = 60.0
-    """They are lent again after this time without a sign [s]."""
+    limit: Annotated[int, Field(ge=1, le=MOST_HEATS)] = 1  # heats at most
+    lease_s: LeaseS = 60.0  # they are lent again after this time without a sign [s]
     physics: Annotated[str, Field(max_length=40)]
     """Version of the worker's physics, which must be the league's."""
 
@@ -44,8 +39,7 @@ class LentRace(FrozenModel):
     """One race of a lent heat."""
 
     track: str
-    grid: tuple[str, ...]
-    """Entry ids in grid order."""
+    grid: tuple[str, ...]  # entry ids in grid order
     seed: int
 
 
@@ -54,8 +48,7 @@ class LentHeat(FrozenModel):
 
     key: str
     number: int
-    ruleset: str
-    """Hash of its rules."""
+    ruleset: str  # hash of its rules
     races: tuple[LentRace, ...]
     draw: int
     purpose: str
@@ -67,10 +60,8 @@ class LentEntry(FrozenModel):
     """A driver as a worker needs it."""
 
     name: str
-    driver: str = ""
-    """Name of the scripted driver; empty for a policy."""
-    blob: str = ""
-    """SHA-256 of a policy's weights."""
+    driver: str = ""  # name of the scripted driver; empty for a policy
+    blob: str = ""  # SHA-256 of a policy's weights
 
 
 class Lent(FrozenModel):
@@ -79,8 +70,7 @@ class Lent(FrozenModel):
     heats: tuple[LentHeat, ...] = ()
     rulesets: dict[str, dict[str, Any]] = Field(default_factory=dict[str, dict[str, Any]])
     """Settings by hash."""
-    entries: dict[str, LentEntry] = Field(default_factory=dict[str, LentEntry])
-    """Drivers by id."""
+    entries: dict[str, LentEntry] = Field(default_factory=dict[str, LentEntry])  # drivers by id
 
 
 class Renewal(FrozenModel):
@@ -88,8 +78,7 @@ class Renewal(FrozenModel):
 
     worker: WorkerName
     lease_s: LeaseS = 60.0
-    keys: Annotated[tuple[Key, ...], Field(max_length=1000)] = ()
-    """Of the heats that it races."""
+    keys: Annotated[tuple[Key, ...], Field(max_length=1000)] = ()  # of the heats that it races
 
 
 class Held(FrozenModel):
@@ -117,8 +106,7 @@ class SentRace(FrozenModel):
         Field(min_length=1, max_length=MAX_CARS),
     ]
     """Place of the car in each grid slot."""
-    result: dict[str, Any]
-    """The classification, as `league heat --json` prints it."""
+    result: dict[str, Any]  # the classification, as `league heat --json` prints it
     replay: Annotated[str, Field(max_length=MOST_REPLAY)] = ""
     """The recording in Base64; empty if none is kept."""
 
@@ -153,8 +141,7 @@ class Failure(FrozenModel):
     worker: WorkerName
     key: Key
     traceback: Annotated[str, Field(max_length=20_000)] = ""
-    lost: bool = False
-    """Whether its process was killed, which is no failed try."""
+    lost: bool = False  # whether its process was killed, which is no failed try
 
 
 class State(FrozenModel):

@@ -5,8 +5,6 @@ An attacker starts one place of the grid behind a defender that is held to a top
 of a flying lap alone under this top speed, as a share of the attacker's own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -67,8 +65,7 @@ class Threshold:
     hold: float
     """Fastest pace of an attacker, as a share of the defender's, that is kept behind in at least
     half of the races; 0: none."""
-    duels: dict[float, Duels]
-    """Results by the defender's pace."""
+    duels: dict[float, Duels]  # results by the defender's pace
 
 
 def from_behind(cfg: DuelConfig, field: Sequence[Driver], top_speeds: Sequence[float]) -> Duels:

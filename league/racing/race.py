@@ -216,8 +216,6 @@ class _Batch:
 
 
 class _RunningRace:
-    """One race under way."""
-
     def __init__(self, job: RaceJob, tracks: TrackSet, cfg: EnvConfig) -> None:
         self.spec, self._watch = job.spec, job.watch
         self.result: RaceResult | None = None
@@ -284,7 +282,7 @@ def rerun(replay: Replay, checkpoints: Sequence[str | os.PathLike[str]] = ()) ->
     from league.agents import checkpoint
 
     tracks, car = TrackSet(replay.track), sim_config(replay.spec).car
-    paths = {checkpoint.digest(path): os.fspath(path) for path in checkpoints}
+    paths = {checkpoint.load(path).digest: os.fspath(path) for path in checkpoints}
     drivers = [
         _loaded(entry.model_copy(update={"path": paths.get(entry.digest, entry.path)}), tracks, car)
         for entry in replay.spec.entries

@@ -1,7 +1,5 @@
 """The log of a race: events and laps by the referee's verdicts, and the classification."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

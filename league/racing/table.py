@@ -1,7 +1,5 @@
 """The table of an evaluation: trials and their summary; plain data for files and screens."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from league.race_spec import FrozenModel

@@ -6,8 +6,6 @@ with one worker: training-simtrace/N-iteration.csv, model/model_metadata.json,
 ip/hyperparameters.json and evaluation-TIME/evaluation-simtrace/0-iteration.csv.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import math

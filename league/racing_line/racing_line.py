@@ -4,8 +4,6 @@
 and car give the same bits on every machine.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

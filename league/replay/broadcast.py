@@ -4,8 +4,6 @@ The story tells of attacks, passes, contacts, gaps at the line and the winner; t
 the closest fight, and cuts when it is decided.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The replay file: written whole or not at all, read with every size checked (docs/replay.md)."""
 
-from __future__ import annotations
-
 import math
 import os
 import struct

@@ -53,9 +53,7 @@ class Columns:
     velocity_x: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]  # [m/s]
     velocity_y: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]
     yaw_rate: Annotated[np.ndarray, Grain("cars", 1e-3, 1)]  # [rad/s]
-    steering: Annotated[
-        np.ndarray, Grain("cars", 1e-4, 1)
-    ]  # of the front wheels, to the left [rad]
+    steering: Annotated[np.ndarray, Grain("cars", 1e-4, 1)]  # of front wheels, to the left [rad]
     # the drivers' in the step that led here, (num_frames, num_cars, 2)
     actions: Annotated[np.ndarray, Grain("actions", 1e-4, 1)]
     # seconds of penalty still to stand [s]; above 0 the car is frozen

@@ -3,8 +3,6 @@
 A race is laid out like a broadcast, training as the whole track and charts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Literal
 

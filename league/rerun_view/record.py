@@ -1,7 +1,5 @@
 """A replay as a Rerun recording: whole columns at once, with what the cars sensed."""
 
-from __future__ import annotations
-
 import io
 import os
 from collections.abc import Sequence

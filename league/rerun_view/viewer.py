@@ -5,8 +5,6 @@ program serves them once. (The SDK's own servers listen on all interfaces, witho
 so they are not used.)
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import importlib.util

@@ -1,7 +1,5 @@
 """Track files: what they may say, how their YAML text is read and written, and load by name."""
 
-from __future__ import annotations
-
 import os
 from functools import lru_cache
 from pathlib import Path
@@ -46,9 +44,7 @@ class TrackFile(BaseModel):
     line: Literal["inside", "outside"]  # whether the white line lies inside the border, on the road
     line_width: Annotated[Number, Field(ge=0.0, le=0.3)] = 0.076
     start: Point | None = None  # where the start line crosses the centreline; None: points[0]
-    colours: dict[
-        Part, Rgb | None
-    ] = {}  # of the floor, sRGB 0-255; omitted ones keep their default
+    colours: dict[Part, Rgb | None] = {}  # of the floor, sRGB 0-255; without: the default ones
     origin: Annotated[str, Field(max_length=2000)] = ""  # where the shape comes from
     # centreline in driving order; a smooth curve joins them, and a loop does not repeat the first
     points: Annotated[list[Point], Field(min_length=3, max_length=MAX_POINTS)]

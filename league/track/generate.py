@@ -1,7 +1,5 @@
 """Random sound tracks for training: straights, hairpins, chicanes and sweeps from a seed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """The community's track arrays (N rows of centre, inner border, outer border) as tracks of ours."""
 
-from __future__ import annotations
-
 import os
 import re
 import tokenize

@@ -4,8 +4,6 @@ Races depend on every bit of a track, so NumPy is asked here only for what it ro
 machine: + - * / and square roots of arrays, and running sums.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

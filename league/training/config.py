@@ -33,7 +33,6 @@ GROWS = {"resume": "grows"}  # it may be raised, or set to 0, which is no limit
 
 
 def _check(what: str, value: float, low: float, high: float, advice: str) -> None:
-    """Refuse a setting outside its range."""
     if not low <= value <= high:
         raise ConfigError(f"{what} is {value}: give {advice}")
 

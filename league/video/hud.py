@@ -1,7 +1,5 @@
 """Graphics over the picture: clock, lap counter, running order, events and the top view."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -41,28 +41,21 @@ def digest(content: bytes) -> str:
 class Ruleset:
     """What ratings belong to: change any of it and ratings start again."""
 
-    tracks: tuple[str, ...] = ("reinvent_2018",)
-    """Names of the tracks that heats are drawn from."""
+    tracks: tuple[str, ...] = ("reinvent_2018",)  # names of the tracks that heats are drawn from
     kind: RaceKind = "head_to_head"
     laps: int = 3
     cars: int = 2
     solver: SolverName = "bullet"
-    physics: str = PHYSICS
-    """Version of the physics: of whatever can change the outcome of a race."""
+    physics: str = PHYSICS  # version of the physics: of whatever can change the outcome of a race
     sensors: Literal["stock", "any"] = "stock"
     """Stock mounts, lenses and rates only, or whatever a card asks for."""
-    max_time_s: float = 0.0
-    """A race is stopped after this time [s]; 0 chooses by length."""
-    variation: float = 1.0
-    """How much the cars of a race differ, drawn from its seed; see RaceSpec."""
-    rules: RulesName = "league"
-    """Which rules a race has, see RaceSpec."""
-    obstacles: int = 0
-    """Boxes or bots on the track."""
+    max_time_s: float = 0.0  # a race is stopped after this time [s]; 0 chooses by length
+    variation: float = 1.0  # how much the cars of a race differ, drawn from its seed; see RaceSpec
+    rules: RulesName = "league"  # which rules a race has, see RaceSpec
+    obstacles: int = 0  # boxes or bots on the track
     obstacle_kind: Literal["box", "bot"] = "box"
     """Standing boxes, or slow bot cars that change lanes."""
-    format: RaceFormat = "standing"
-    """How the cars of a race line up, see matchmaker.py."""
+    format: RaceFormat = "standing"  # how the cars of a race line up, see matchmaker.py
 
     def __post_init__(self) -> None:
         if not self.tracks:
@@ -106,8 +99,7 @@ class Half:
     """One race of a heat."""
 
     track: str
-    grid: tuple[str, ...]
-    """Entry ids in grid order: the car in slot k is driven by grid[k]."""
+    grid: tuple[str, ...]  # entry ids in grid order: the car in slot k is driven by grid[k]
 
 
 @dataclass(frozen=True)
@@ -116,10 +108,8 @@ class Heat:
 
     ruleset: str
     halves: tuple[Half, ...]
-    draw: int = 0
-    """Number that distinguishes meetings of the same entries on the same tracks."""
-    purpose: Purpose = "rated"
-    """Only rated heats count in the ratings."""
+    draw: int = 0  # number that distinguishes meetings of the same entries on the same tracks
+    purpose: Purpose = "rated"  # only rated heats count in the ratings
     audits: str = ""
     """Key of the heat that an audit runs again; its seeds are used, its results must come."""
 

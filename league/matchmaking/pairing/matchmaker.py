@@ -35,12 +35,9 @@ from league.matchmaking.store import (
 
 LineUp = Callable[[int, str], float]
 """What an entry's place on the grid of a track is decided by: its number and the track's name."""
-ROUND = 4096
-"""Heats of a round at most; heat k of round n has the draw n * ROUND + k."""
-LEAST_ROUND = 8
-"""Heats of a round at least; more workers than heats in two rounds have to wait."""
-LOOK_BACK = 3000
-"""Heats among which the latest round is looked for first."""
+ROUND = 4096  # heats of a round at most; heat k of round n has the draw n * ROUND + k
+LEAST_ROUND = 8  # heats of a round at least; more workers than heats in two rounds have to wait
+LOOK_BACK = 3000  # heats among which the latest round is looked for first
 
 
 def enter_anchors(store: Store, anchors: Sequence[str]) -> list[LeagueEntry]:
@@ -90,7 +87,6 @@ def waits_for(store: Store, entry: LeagueEntry) -> str:
 
 
 def _validations(store: Store, entry: LeagueEntry, ruleset: str) -> list[HeatRecord]:
-    """Return an entry's validation heats under a ruleset."""
     return [
         record
         for record in store.heats(entries=[entry.number])
@@ -102,28 +98,20 @@ def _validations(store: Store, entry: LeagueEntry, ruleset: str) -> list[HeatRec
 class _Round:
     """A round of heats in the queue."""
 
-    number: int = 0
-    """From 1; 0 stands for none."""
-    first: int = 0
-    """Number of its first heat; all earlier rounds have smaller ones."""
-    open: bool = False
-    """Whether any of its heats, or of an earlier round's, is not over."""
-    earlier_open: bool = False
-    """Whether any heat of an earlier round is not over."""
+    number: int = 0  # from 1; 0 stands for none
+    first: int = 0  # number of its first heat; all earlier rounds have smaller ones
+    open: bool = False  # whether any of its heats, or of an earlier round's, is not over
+    earlier_open: bool = False  # whether any heat of an earlier round is not over
 
 
 @dataclass(frozen=True)
 class _Past:
     """What a round is planned from."""
 
-    races: Races
-    """Rated races of the season that count."""
-    carried: Carried | None
-    """Ratings of the season before."""
-    before: int | None
-    """Only heats with a smaller number count; None: all."""
-    queued: list[HeatRecord]
-    """Planned heats that do not count, whatever became of them."""
+    races: Races  # rated races of the season that count
+    carried: Carried | None  # ratings of the season before
+    before: int | None  # only heats with a smaller number count; None: all
+    queued: list[HeatRecord]  # planned heats that do not count, whatever became of them
 
     def counts(self, heat: int) -> bool:
         """Return whether a heat's result may be looked at."""
@@ -274,16 +262,12 @@ class Matchmaker:
 class _Roster:
     """All entries as pairing sees them, by the past alone."""
 
-    contenders: list[Contender] = field(default_factory=list)
-    """Entries that may race."""
-    newcomers: list[Contender] = field(default_factory=list)
-    """Those that need validation heats."""
+    contenders: list[Contender] = field(default_factory=list)  # entries that may race
+    newcomers: list[Contender] = field(default_factory=list)  # those that need validation heats
     states: dict[int, tuple[EntryState, str]] = field(default_factory=dict)
     """Where each entry stands, and why it was refused."""
-    fitted: Ratings | None = None
-    """The ratings; None without an entry to rate."""
-    undecided: int = 0
-    """Entries of which it is not known yet whether they pass."""
+    fitted: Ratings | None = None  # the ratings; None without an entry to rate
+    undecided: int = 0  # entries of which it is not known yet whether they pass
 
     @classmethod
     def of(

@@ -6,8 +6,6 @@ soon. Informed asks the closest questions. Random ties the whole field together:
 raced only among near equals becomes a chain with ends that drift apart.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -23,20 +21,15 @@ Lane = Literal["connection", "coverage", "informed", "random", "validation"]
 Meetings = Mapping[tuple[int, int], int]
 """Heats of each pair that met or is to meet, by entry numbers, the smaller one first."""
 
-PAIR_CAP = 3.0
-"""No pair meets more often than this many times the median pair."""
-OTHER_TRACK_FROM = 4
-"""Tracks from which on a heat's second race is driven on another one."""
+PAIR_CAP = 3.0  # no pair meets more often than this many times the median pair
+OTHER_TRACK_FROM = 4  # tracks from which on a heat's second race is driven on another one
 PLACEMENT_SD = 75.0
 """Until an entry is this sure it is in placement [Elo]; then provisional until PROVISIONAL_SD."""
 SETTLED_SD = 25.0
 """An entry this sure is no longer the first choice for a heat, only an opponent [Elo]."""
-COVERAGE = 0.4
-"""Share of heats that begin with the entry least sure."""
-INFORMED = 0.3
-"""Share of heats between entries that may well be equal; the rest is random."""
-ANCHORED = 0.1
-"""Share of heats with an anchor in them."""
+COVERAGE = 0.4  # share of heats that begin with the entry least sure
+INFORMED = 0.3  # share of heats between entries that may well be equal; the rest is random
+ANCHORED = 0.1  # share of heats with an anchor in them
 GAPS, GAP_SHARES = np.polynomial.hermite_e.hermegauss(9)
 """Points and shares that stand for a normal distribution."""
 
@@ -45,32 +38,23 @@ GAPS, GAP_SHARES = np.polynomial.hermite_e.hermegauss(9)
 class Contender:
     """What pairing knows of one entry."""
 
-    entry: int
-    """Its number."""
+    entry: int  # its number
     state: EntryState
-    owner: str = ""
-    """Its owner; entries without one ("") may meet any entry."""
-    elo: float = 1000.0
-    """Strength [Elo]."""
-    sd: float = 200.0
-    """Standard deviation of the strength [Elo]."""
-    races: int = 0
-    """Races started or planned."""
-    anchor: bool = False
-    """Whether it is one of the league's own drivers, there to tie the scale."""
+    owner: str = ""  # its owner; entries without one ("") may meet any entry
+    elo: float = 1000.0  # strength [Elo]
+    sd: float = 200.0  # standard deviation of the strength [Elo]
+    races: int = 0  # races started or planned
+    anchor: bool = False  # whether it is one of the league's own drivers, there to tie the scale
 
 
 @dataclass(frozen=True)
 class HeatPlan:
     """Races that belong together: two; one for a validation."""
 
-    lane: Lane
-    """Why it is run."""
-    grid: tuple[int, ...]
-    """Entry numbers in random order."""
+    lane: Lane  # why it is run
+    grid: tuple[int, ...]  # entry numbers in random order
     tracks: tuple[str, ...]
-    rated: bool = True
-    """Whether it counts for ratings."""
+    rated: bool = True  # whether it counts for ratings
 
 
 def rated_state(sd: float) -> EntryState:

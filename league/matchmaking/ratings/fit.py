@@ -3,8 +3,6 @@
 `fit` starts from the races alone, `updated` adds a few races to a fit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -25,30 +23,21 @@ from league.matchmaking.ratings.pair_counts import (
 from league.matchmaking.ratings.systems import Blocks, Sparse, Variances
 from league.matchmaking.ratings.table import SIGMAS_95, Carried, Posterior, Ratings
 
-ANCHOR_ELO = 1000.0
-"""Where the anchor is pinned."""
-SPREAD_LIMITS = 20.0, 400.0
-"""A learned spread is at least, and at most, this [Elo]."""
-USUAL_SPREAD = 300.0
-"""Spread of a field of drivers before any race [Elo]."""
+ANCHOR_ELO = 1000.0  # where the anchor is pinned
+SPREAD_LIMITS = 20.0, 400.0  # a learned spread is at least, and at most, this [Elo]
+USUAL_SPREAD = 300.0  # spread of a field of drivers before any race [Elo]
 SPREAD_DOUBT = np.log(3.0)
 """Standard deviation of the logarithm of a field's spread: it is known to a factor of three."""
 ENOUGH = 1e-6
 """A Newton step this small [natural units] is the last one: it leaves an error of its square."""
-ENOUGH_FAR = 1e-3
-"""The same while the spread of the field is still far from settled."""
-MOST_SPREADS = 40
-"""Spreads that are tried at most."""
-FAR = 2.0
-"""The logarithm of a field's variance is moved by this at most in one step."""
-NEAR = 0.1
-"""After a step of that logarithm this small the next spread is as good as settled."""
-SETTLED = 1e-5
-"""A step of that logarithm this small is the last one."""
+ENOUGH_FAR = 1e-3  # the same while the spread of the field is still far from settled
+MOST_SPREADS = 40  # spreads that are tried at most
+FAR = 2.0  # the logarithm of a field's variance is moved by this at most in one step
+NEAR = 0.1  # after a step of that logarithm this small the next spread is as good as settled
+SETTLED = 1e-5  # a step of that logarithm this small is the last one
 ENOUGH_LATER = 1e-4
 """A step this small [natural units] is the last one where races are added to a fit."""
-MOST_STEPS = 20
-"""Steps then at most; each is at most of one natural unit."""
+MOST_STEPS = 20  # steps then at most; each is at most of one natural unit
 
 
 @dataclass(frozen=True)
@@ -57,8 +46,7 @@ class RatingSettings:
 
     prior_sd: float | None = None
     """Spread of the field before any race [Elo]; None learns it from the field."""
-    slot_sd: float = 300.0
-    """How far two grid slots may differ in worth, before any race [Elo]."""
+    slot_sd: float = 300.0  # how far two grid slots may differ in worth, before any race [Elo]
     dense_most: int = systems.DENSE_MOST
     """Entries that met others up to which variances are exact; of more they are right to 1 %."""
 

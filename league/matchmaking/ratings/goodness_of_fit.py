@@ -4,8 +4,6 @@ Ratings promise that A beats C if A beats B and B beats C. Pearson's chi-square 
 the promise.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,18 +21,13 @@ LEAST_VARIANCE = 1.0
 class Goodness:
     """Whether the ratings explain the results."""
 
-    chi_square: float
-    """Sum of the squared residuals of all pairs that raced enough to be judged."""
-    freedom: float
-    """What it is on average if the ratings are right."""
+    chi_square: float  # sum of the squared residuals of all pairs that raced enough to be judged
+    freedom: float  # what it is on average if the ratings are right
     p_value: float
     """Chance of a sum this large if the ratings are right; 1 when nothing can be judged."""
-    rejected: bool
-    """True if one number a driver does not explain the results."""
-    judged: int
-    """Pairs in the sum."""
-    dispersion: float
-    """Scatter of the heats of one pair over that of independent races; 1 or more."""
+    rejected: bool  # True if one number a driver does not explain the results
+    judged: int  # pairs in the sum
+    dispersion: float  # scatter of the heats of one pair over that of independent races; 1 or more
 
 
 def goodness_of_fit(data: RatingData, ratings: Ratings, *, level: float = 0.01) -> Goodness:

@@ -21,10 +21,8 @@ from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.special import expit
 
-EMPTY = -1
-"""Entry number of an empty grid slot."""
-ELO = 400.0 / np.log(10.0)
-"""Elo in one natural unit of strength."""
+EMPTY = -1  # entry number of an empty grid slot
+ELO = 400.0 / np.log(10.0)  # Elo in one natural unit of strength
 
 
 @dataclass(frozen=True)
@@ -35,8 +33,7 @@ class Results:
     """Number of the heat each race belongs to, int64, (races,). Each race is here once."""
     entries: np.ndarray
     """Entry numbers in grid order, -1 where the grid is empty, int64, (races, slots)."""
-    places: np.ndarray
-    """Places, smaller is better, equal is a tie, int64, (races, slots)."""
+    places: np.ndarray  # places, smaller is better, equal is a tie, int64, (races, slots)
 
     def __len__(self) -> int:
         return len(self.heats)
@@ -56,22 +53,14 @@ class Results:
 class PairCounts:
     """The races as the likelihood reads them."""
 
-    num_entries: int
-    """Entries in the field, raced or not."""
-    num_slots: int
-    """Slots of the largest grid."""
-    one: np.ndarray
-    """Index of the one entry of each pair that met, ascending, (pairs,)."""
-    other: np.ndarray
-    """Index of the other, above the one's, ascending for the same one, (pairs,)."""
-    starts: np.ndarray
-    """First cell of each pair, (pairs,)."""
-    sides: np.ndarray
-    """Slot of the one * num_slots + slot of the other, (cells,)."""
-    meetings: np.ndarray
-    """How often they met so, float, (cells,)."""
-    won: np.ndarray
-    """Points of the one, a tie half a point, (cells,)."""
+    num_entries: int  # entries in the field, raced or not
+    num_slots: int  # slots of the largest grid
+    one: np.ndarray  # index of the one entry of each pair that met, ascending, (pairs,)
+    other: np.ndarray  # index of the other, above the one's, ascending for the same one, (pairs,)
+    starts: np.ndarray  # first cell of each pair, (pairs,)
+    sides: np.ndarray  # slot of the one * num_slots + slot of the other, (cells,)
+    meetings: np.ndarray  # how often they met so, float, (cells,)
+    won: np.ndarray  # points of the one, a tie half a point, (cells,)
 
     @property
     def size(self) -> int:
@@ -149,12 +138,9 @@ class PairCounts:
 class RatingData:
     """The races of a field, counted once for the fit, the test of fit and the standings."""
 
-    entries: np.ndarray
-    """Entry numbers, ascending, (entries,)."""
-    results: Results
-    """The races sorted by heat; their entries are indices into `entries`."""
-    races: np.ndarray
-    """Races each entry started in, (entries,)."""
+    entries: np.ndarray  # entry numbers, ascending, (entries,)
+    results: Results  # the races sorted by heat; their entries are indices into `entries`
+    races: np.ndarray  # races each entry started in, (entries,)
     counts: PairCounts
 
     @classmethod
@@ -179,12 +165,9 @@ class RatingData:
 class Slope:
     """The log-likelihood at one point."""
 
-    value: float
-    """Log-likelihood without its constant."""
-    gradient: np.ndarray
-    """By strength and slot, (entries + slots,)."""
-    weights: np.ndarray
-    """Curvature meetings * p * (1 - p) of each cell, (cells,)."""
+    value: float  # log-likelihood without its constant
+    gradient: np.ndarray  # by strength and slot, (entries + slots,)
+    weights: np.ndarray  # curvature meetings * p * (1 - p) of each cell, (cells,)
 
 
 def score(places_one: np.ndarray, places_other: np.ndarray) -> np.ndarray:
@@ -283,16 +266,11 @@ def race_scores(results: Results, strengths: np.ndarray, slots: np.ndarray) -> n
 class Squares:
     """The middle of the sandwich, J + prior, by blocks; that of the strengths by its factor."""
 
-    scores: sparse.csr_array
-    """Slope of each heat by strength, each entry once, (heats, entries)."""
-    prior: np.ndarray
-    """Precisions of the strengths, (entries,)."""
-    border: np.ndarray
-    """By strength and slot, (entries, slots)."""
-    corner: np.ndarray
-    """By slot and slot, (slots, slots)."""
-    heats: np.ndarray
-    """Heats each entry was in, (entries,)."""
+    scores: sparse.csr_array  # slope of each heat by strength, each entry once, (heats, entries)
+    prior: np.ndarray  # precisions of the strengths, (entries,)
+    border: np.ndarray  # by strength and slot, (entries, slots)
+    corner: np.ndarray  # by slot and slot, (slots, slots)
+    heats: np.ndarray  # heats each entry was in, (entries,)
 
     @property
     def size(self) -> int:

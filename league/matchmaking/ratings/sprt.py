@@ -5,8 +5,6 @@ heat's score is the mean over its races, so its five outcomes (two races, ties) 
 belongs together: the worth of a grid slot cancels, and a track that suits one car counts once.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal
@@ -19,10 +17,8 @@ from league.matchmaking.ratings.table import SIGMAS_95, expected_score
 
 Decision = Literal["better", "not better", "undecided"]
 
-LEAST_HEATS = 4
-"""No answer before so many heats."""
-OUTCOMES = np.linspace(0.0, 1.0, 5)
-"""Scores that a heat of two races can have."""
+LEAST_HEATS = 4  # no answer before so many heats
+OUTCOMES = np.linspace(0.0, 1.0, 5)  # scores that a heat of two races can have
 _UNSEEN = 1e-3
 """Heats credited to each outcome, so that one not yet seen is unlikely and not impossible."""
 
@@ -31,14 +27,11 @@ _UNSEEN = 1e-3
 class SequentialSettings:
     """What is asked, and how sure the answer must be."""
 
-    elo0: float = 0.0
-    """B is "not better" if it leads by this or less [Elo]."""
+    elo0: float = 0.0  # B is "not better" if it leads by this or less [Elo]
     elo1: float = 30.0
     """B is "better" if it leads by this or more [Elo]; 30 while developing, 10 for finals."""
-    alpha: float = 0.05
-    """Chance to say "better" though the lead is only elo0."""
-    beta: float = 0.05
-    """Chance to say "not better" though the lead is elo1."""
+    alpha: float = 0.05  # chance to say "better" though the lead is only elo0
+    beta: float = 0.05  # chance to say "not better" though the lead is elo1
     slot_gap: float = 0.0
     """What the front of two slots is worth over the other, as the league's ratings say [Elo].
 
@@ -65,24 +58,16 @@ class SequentialSettings:
 class Comparison:
     """Where a sequential test stands."""
 
-    decision: Decision
-    """The answer, if there is one already."""
-    llr: float
-    """Log-likelihood ratio of elo1 against elo0."""
-    lower: float
-    """At or below it the answer is "not better"."""
-    upper: float
-    """At or above it the answer is "better"."""
-    heats: int
-    """Heats counted."""
-    score: float
-    """Mean score of B, in [0, 1]."""
-    elo: float
-    """B's lead [Elo]; infinite while every race has the same winner."""
+    decision: Decision  # the answer, if there is one already
+    llr: float  # log-likelihood ratio of elo1 against elo0
+    lower: float  # at or below it the answer is "not better"
+    upper: float  # at or above it the answer is "better"
+    heats: int  # heats counted
+    score: float  # mean score of B, in [0, 1]
+    elo: float  # B's lead [Elo]; infinite while every race has the same winner
     low95: float
     """Lower end of its 95 % interval [Elo], as if the number of heats had been fixed before."""
-    high95: float
-    """Upper end of it [Elo]."""
+    high95: float  # upper end of it [Elo]
 
 
 def compare(scores: np.ndarray, settings: SequentialSettings | None = None) -> Comparison:

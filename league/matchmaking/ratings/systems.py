@@ -20,20 +20,15 @@ from league.matchmaking.ratings.pair_counts import PairCounts, Squares
 
 DENSE_MOST = 1500
 """Entries that met others up to which H is factored; beyond, the cube of these is too slow."""
-PROBES = 8
-"""Random sign vectors in a batch."""
-BATCHES = 12
-"""Batches of probes at most."""
+PROBES = 8  # random sign vectors in a batch
+BATCHES = 12  # batches of probes at most
 NOISE = 0.03
 """Relative noise of the variances (twice that of the standard deviations) that ends the probing."""
 GAP_ERROR = 1e-2
 """Relative error of a difference's variance at most; that of its interval is half of it."""
-FEW = 0.1
-"""Share of a vector's numbers up to which only the rows of those that are not 0 are read."""
-SMALL = 3e-3
-"""Share of a step's largest number below which the others are left out of the step."""
-PULL = 50.0
-"""Heats an entry needs for its own scatter to count as much as the field's."""
+FEW = 0.1  # share of a vector's numbers up to which only the rows of those that are not 0 are read
+SMALL = 3e-3  # share of a step's largest number below which the others are left out of the step
+PULL = 50.0  # heats an entry needs for its own scatter to count as much as the field's
 
 
 class Blocks:
@@ -304,7 +299,6 @@ System = Dense | Sparse
 
 
 def _times(symmetric: sparse.csr_array, vector: np.ndarray) -> np.ndarray:
-    """Return the product of a symmetric table with a vector."""
     known = np.flatnonzero(vector)
     if len(known) > FEW * len(vector):
         return symmetric @ vector

@@ -1,7 +1,5 @@
 """Ratings as a table: strengths of a field, how sure they are, and what they were found from."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -15,10 +13,8 @@ from league.errors import ConfigError
 from league.matchmaking.ratings.pair_counts import ELO
 from league.matchmaking.ratings.systems import System
 
-SIGMAS_95 = 1.959963984540054
-"""Half width of a 95 % interval in standard deviations."""
-PROVISIONAL_SD = 50.0
-"""Ratings less sure than this are marked provisional [Elo]."""
+SIGMAS_95 = 1.959963984540054  # half width of a 95 % interval in standard deviations
+PROVISIONAL_SD = 50.0  # ratings less sure than this are marked provisional [Elo]
 
 
 def expected_score(gap_elo: float | np.ndarray) -> float | np.ndarray:
@@ -30,14 +26,11 @@ def expected_score(gap_elo: float | np.ndarray) -> float | np.ndarray:
 class Carried:
     """What is known of a field before its first race: the ratings of an earlier season."""
 
-    entries: np.ndarray
-    """Entry numbers, one or more, ascending, (entries,)."""
+    entries: np.ndarray  # entry numbers, one or more, ascending, (entries,)
     elo: np.ndarray
     """Their ratings then [Elo], (entries,); all others are expected at the mean of these."""
-    sd: np.ndarray
-    """How sure these still are [Elo], (entries,)."""
-    prior_sd: float
-    """Spread of entries that are not among them [Elo]; it is not learned again."""
+    sd: np.ndarray  # how sure these still are [Elo], (entries,)
+    prior_sd: float  # spread of entries that are not among them [Elo]; it is not learned again
 
     def at(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the means [natural units] of some entries, and their precisions, NaN if new."""
@@ -74,22 +67,17 @@ class Difference:
 class Posterior:
     """The best parameters under one prior."""
 
-    parameters: np.ndarray
-    """Strengths and slots [natural units]."""
-    system: System
-    """The curvature there."""
-    prior_sd: float
-    """Spread of the strengths [Elo]."""
-    weights: np.ndarray
-    """What each entry counts in the field's average, (entries,)."""
+    parameters: np.ndarray  # strengths and slots [natural units]
+    system: System  # the curvature there
+    prior_sd: float  # spread of the strengths [Elo]
+    weights: np.ndarray  # what each entry counts in the field's average, (entries,)
 
 
 @dataclass(frozen=True)
 class Strengths:
     """Ratings, as far as what they promise depends on them."""
 
-    entries: np.ndarray
-    """Entry numbers, ascending, (entries,)."""
+    entries: np.ndarray  # entry numbers, ascending, (entries,)
     elo: np.ndarray
     """Strength [Elo], the anchor's 1000; 400 more are ten times the odds, (entries,)."""
     slot_advantages: np.ndarray
@@ -107,28 +95,18 @@ class Ratings(Strengths):
     """
     low95: np.ndarray
     """Lower end of the 95 % interval of `elo`, as it stands relative to the anchor, (entries,)."""
-    high95: np.ndarray
-    """Upper end of it; the anchor's own interval is a point, (entries,)."""
-    races: np.ndarray
-    """Races started, (entries,)."""
-    pairs: np.ndarray
-    """Cars met in them, (entries,)."""
-    points: np.ndarray
-    """Those of these it came in ahead of, ties half, (entries,)."""
+    high95: np.ndarray  # upper end of it; the anchor's own interval is a point, (entries,)
+    races: np.ndarray  # races started, (entries,)
+    pairs: np.ndarray  # cars met in them, (entries,)
+    points: np.ndarray  # those of these it came in ahead of, ties half, (entries,)
     connected: np.ndarray
     """False where no chain of races leads to the anchor (or the largest group), (entries,)."""
-    slot_sd: np.ndarray
-    """Standard deviations of the slots' advantages [Elo], (slots,)."""
-    prior_sd: float
-    """Spread of the field, learned from it [Elo]."""
-    anchor: int | None
-    """Entry pinned to 1000; without one the field's mean is."""
-    num_races: int
-    """Races that counted."""
-    num_spreads: int
-    """Spreads of the field tried before the likeliest was settled."""
-    posterior: Posterior = field(repr=False, compare=False)
-    """What all this follows from."""
+    slot_sd: np.ndarray  # standard deviations of the slots' advantages [Elo], (slots,)
+    prior_sd: float  # spread of the field, learned from it [Elo]
+    anchor: int | None  # entry pinned to 1000; without one the field's mean is
+    num_races: int  # races that counted
+    num_spreads: int  # spreads of the field tried before the likeliest was settled
+    posterior: Posterior = field(repr=False, compare=False)  # what all this follows from
     gap_variance: Callable[[int, int], float] = field(repr=False, compare=False)
     """Variance [Elo^2] of a difference of two ratings, from their indices."""
 

@@ -4,8 +4,6 @@ A blob is written once and never changed. It is hashed again when it is read, so
 swapped file is noticed.
 """
 
-from __future__ import annotations
-
 from contextlib import suppress
 
 import sqlalchemy as sa
@@ -15,8 +13,7 @@ from league.errors import StoreError, explaining
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store.schema import Change, Transactional, blobs
 
-MAX_BYTES = 64 * 1024 * 1024
-"""Largest blob [bytes]."""
+MAX_BYTES = 64 * 1024 * 1024  # largest blob [bytes]
 
 
 def _checked(content: bytes) -> bytes:

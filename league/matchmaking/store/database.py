@@ -7,8 +7,6 @@ tries, measured 1.5 s at the median with 16 writers). In a large league one proc
 and its workers get heats from it and hand results to it.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import re
@@ -30,12 +28,9 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 _Data = TypeVar("_Data", bound="DataclassInstance")
-PATIENCE_S = 60.0
-"""How long a write waits for other writers of a SQLite file [s]."""
-MOST_ASKED = 5000
-"""Values that one statement asks for at most; SQLite allows 32,766 parameters."""
-ALONE = 0x1EA60E
-"""PostgreSQL's advisory lock for transactions that must run one at a time."""
+PATIENCE_S = 60.0  # how long a write waits for other writers of a SQLite file [s]
+MOST_ASKED = 5000  # values that one statement asks for at most; SQLite allows 32,766 parameters
+ALONE = 0x1EA60E  # PostgreSQL's advisory lock for transactions that must run one at a time
 
 
 def address(url: str) -> URL:

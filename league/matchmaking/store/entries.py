@@ -1,7 +1,5 @@
 """Entries, their owners, and the tokens by which owners and workers are known over HTTP."""
 
-from __future__ import annotations
-
 import json
 import secrets
 from collections.abc import Mapping, Sequence
@@ -21,10 +19,8 @@ from league.matchmaking.store.records import SCOPES, EntryState, LeagueEntry, Qu
 from league.matchmaking.store.schema import Change, LedgerRecord, entries, owners, tokens
 
 DAY_S = 86400.0
-PREFIX = "league_"
-"""Begins every token, so that programs that look for leaked secrets can know one."""
-LONGEST_S = 10 * 365 * 86400.0
-"""Longest life of a token that ends [s]."""
+PREFIX = "league_"  # begins every token, so that programs that look for leaked secrets can know one
+LONGEST_S = 10 * 365 * 86400.0  # longest life of a token that ends [s]
 USED_EVERY_S = 3600.0
 """How exactly the last use is noted [s]: a write for every request would be too many."""
 

@@ -1,7 +1,5 @@
 """Checks all that standings are computed from against documents, hashes and the ledger."""
 
-from __future__ import annotations
-
 import json
 import zlib
 from collections import Counter, defaultdict
@@ -19,22 +17,17 @@ from league.matchmaking.store.queue import heat_in, with_rules
 from league.matchmaking.store.results import PackedResult
 from league.matchmaking.store.schema import Change, LedgerRecord, heats, ledger, races, rulesets
 
-BLOCK = 2000
-"""Heats, or records of the ledger, checked at a time."""
+BLOCK = 2000  # heats, or records of the ledger, checked at a time
 
 
 @dataclass
 class Integrity:
     """What a check found."""
 
-    races: int = 0
-    """Races that count, as recomputed from their results."""
-    records: int = 0
-    """Records of the ledger."""
-    head: str = ""
-    """Hash of the ledger's last record, which depends on all of them."""
-    mismatches: list[str] = field(default_factory=list)
-    """What does not agree, a line each."""
+    races: int = 0  # races that count, as recomputed from their results
+    records: int = 0  # records of the ledger
+    head: str = ""  # hash of the ledger's last record, which depends on all of them
+    mismatches: list[str] = field(default_factory=list)  # what does not agree, a line each
     damaged: bool = False
     """Whether heats themselves were changed, or the present rules are missing, so that heats cannot
     be raced again."""

@@ -1,7 +1,5 @@
 """Names of entries and owners: what can be shown, and which two a reader may confuse."""
 
-from __future__ import annotations
-
 import re
 import unicodedata
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The queue of heats: planned, claimed with a lease, renewed, failed, reaped."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -19,16 +17,12 @@ from league.matchmaking.store.database import chunked
 from league.matchmaking.store.records import HeatRecord, HeatState
 from league.matchmaking.store.schema import Change, entries, heat_entries, heats, rulesets
 
-LEASE_S = 60.0
-"""Lease of a heat [s]; dispatchers renew it every 10 s."""
-BATCH = 1000
-"""Heats planned or completed per transaction."""
-ATTEMPTS = 3
-"""Failed races before a heat is marked as an error."""
+LEASE_S = 60.0  # lease of a heat [s]; dispatchers renew it every 10 s
+BATCH = 1000  # heats planned or completed per transaction
+ATTEMPTS = 3  # failed races before a heat is marked as an error
 PRIORITY: dict[Purpose, int] = {"validation": 0, "gauntlet": 1, "cup": 1, "rated": 2, "audit": 2}
 """Small numbers are claimed first; a season always has rated heats, and audits must not wait."""
-TRACEBACK_CHARS = 8000
-"""The end of a traceback that is kept."""
+TRACEBACK_CHARS = 8000  # the end of a traceback that is kept
 COPIED = tuple(name for name in HeatRecord.__dataclass_fields__ if name not in ("heat", "seeds"))
 """What a record has from its row as it is."""
 _copied = itemgetter(*map(list(heats.c.keys()).index, COPIED))  # by name would take much longer
@@ -44,8 +38,7 @@ STATES = (
 class QueueStore(schema.Transactional):
     """The part of a Store that is about heats and their queue."""
 
-    _entry_ids: dict[int, str]
-    """Ids of entries by their numbers; they never change."""
+    _entry_ids: dict[int, str]  # ids of entries by their numbers; they never change
 
     def _shown(self, heat: sa.ColumnElement[int]) -> sa.ColumnElement[bool]:
         """Return which heats, by number, reading methods return: here all of them."""

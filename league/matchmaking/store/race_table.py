@@ -1,7 +1,5 @@
 """The table of races: each as packed text, with how its cars drove; read as arrays for ratings."""
 
-from __future__ import annotations
-
 import json
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,16 +17,13 @@ OFF_TRACK, TOUCH, CRASH = 1, 1, 4
 """Incident points of leaving the track, of a light contact and of a crash one is to blame for."""
 FAULTS = ("off_tracks", "crashes", "touches", "immobilised", "reversed")
 """What a result counts of each car; a lap is clean in a race without any of them."""
-FILLED = 5000
-"""Races of an older league brought up to date at a time."""
-BLOCK = 1 << 20
-"""Races read at a time."""
+FILLED = 5000  # races of an older league brought up to date at a time
+BLOCK = 1 << 20  # races read at a time
 NO_TRACK = 255
 """Number of a track that is not in the ruleset, or has a number too large for one byte."""
 DRIVEN = np.dtype([("points", ">u2"), ("distance_cm", ">u4"), ("clean_ms", ">u4")])
 """What the bytes of `driven` are for each car."""
-DRIVEN_MOST = (0xFFFF, 0xFFFFFFFF, BEST_MS)
-"""The largest numbers there."""
+DRIVEN_MOST = (0xFFFF, 0xFFFFFFFF, BEST_MS)  # the largest numbers there
 
 KINDS = {"heat": "i8", "half": "u1", "track": "u1", "entries": "i4", "places": "u1", "runs": "u4"}
 """Types of the columns of Races."""

@@ -35,8 +35,7 @@ NEXT: dict[EntryState, tuple[EntryState, ...]] = {
 """States that may follow each state. `retired` and `refused` are final, except that a quarantined
 validation heat may be raced again (entries.reopen)."""
 
-KNOWN, FINISHED, CLEAN, BEST_MS = 1 << 31, 1 << 30, 1 << 29, (1 << 29) - 1
-"""Bits of Races.runs."""
+KNOWN, FINISHED, CLEAN, BEST_MS = 1 << 31, 1 << 30, 1 << 29, (1 << 29) - 1  # bits of Races.runs
 
 
 @dataclass(frozen=True)
@@ -44,8 +43,7 @@ class LeagueSettings:
     """A league's name and rules."""
 
     name: str
-    ruleset: Ruleset
-    """The present rules."""
+    ruleset: Ruleset  # the present rules
 
 
 @dataclass(frozen=True)
@@ -95,16 +93,11 @@ class Cup(Contest):
 class Move(NamedTuple):
     """An entry's move to a division."""
 
-    round: int
-    """Round of heats before which it was made."""
-    entry: int
-    """Number of the entry."""
-    division: int
-    """From 1, the top one; 0 for none any more."""
-    heat: int
-    """Newest heat that counted."""
-    reason: str
-    """start, new, rating, place, safety or left; see divisions.py."""
+    round: int  # round of heats before which it was made
+    entry: int  # number of the entry
+    division: int  # from 1, the top one; 0 for none any more
+    heat: int  # newest heat that counted
+    reason: str  # start, new, rating, place, safety or left; see divisions.py
 
 
 @dataclass(frozen=True)
@@ -152,17 +145,12 @@ class Token:
     """What is known of a token; its secret is not kept."""
 
     number: int
-    owner: str
-    """Name of the owner it stands for."""
+    owner: str  # name of the owner it stands for
     scopes: tuple[Scope, ...]
-    created_s: float
-    """When it was made [s since 1970]."""
-    expires_s: float | None
-    """When it ends [s since 1970]; None for never."""
-    revoked_s: float | None
-    """When it was revoked [s since 1970]."""
-    used_s: float | None
-    """When it was used last, to the hour [s since 1970]."""
+    created_s: float  # when it was made [s since 1970]
+    expires_s: float | None  # when it ends [s since 1970]; None for never
+    revoked_s: float | None  # when it was revoked [s since 1970]
+    used_s: float | None  # when it was used last, to the hour [s since 1970]
 
     def state(self, now_s: float) -> str:
         """Return whether it is active, expired or revoked."""
@@ -180,22 +168,17 @@ class Token:
 class Quota:
     """How much an owner may enter."""
 
-    entries: int = 4
-    """Entries that have not been retired or refused."""
-    per_day: int = 5
-    """New entries within 24 hours."""
+    entries: int = 4  # entries that have not been retired or refused
+    per_day: int = 5  # new entries within 24 hours
 
 
 @dataclass(frozen=True)
 class RaceOutcome:
     """How one race of a heat ended."""
 
-    places: tuple[int, ...]
-    """Place of the car in each grid slot, from 1; equal places are a tie."""
-    result: Mapping[str, Any]
-    """The classification as plain data."""
-    replay: bytes | None = None
-    """The recording."""
+    places: tuple[int, ...]  # place of the car in each grid slot, from 1; equal places are a tie
+    result: Mapping[str, Any]  # the classification as plain data
+    replay: bytes | None = None  # the recording
 
     @cached_property
     def hash(self) -> str:
@@ -217,12 +200,9 @@ class HeatOutcome:
 class Received:
     """What the store did with the results of heats: keys of heats."""
 
-    accepted: tuple[str, ...] = ()
-    """Now counted (an audit: agrees)."""
-    repeated: tuple[str, ...] = ()
-    """Known already, the same to the last bit; nothing was changed."""
-    quarantined: tuple[str, ...] = ()
-    """Differ from another worker's results: neither counts."""
+    accepted: tuple[str, ...] = ()  # now counted (an audit: agrees)
+    repeated: tuple[str, ...] = ()  # known already, the same to the last bit; nothing was changed
+    quarantined: tuple[str, ...] = ()  # differ from another worker's results: neither counts
     unverified: tuple[str, ...] = ()
     """Differ from results of another class of machine, which proves nothing: left out."""
 
@@ -242,54 +222,40 @@ class HeatRecord:
     """All that is known about a heat."""
 
     heat: Heat
-    number: int
-    """Number within the league."""
+    number: int  # number within the league
     state: HeatState
-    worker: str | None
-    """The worker that has it, or had it last."""
-    attempts: int
-    """Races that failed, and the one under way; not those lost with their machine."""
+    worker: str | None  # the worker that has it, or had it last
+    attempts: int  # races that failed, and the one under way; not those lost with their machine
     seeds: tuple[int, ...] | None
     """Seed of each race; secret (None) until the heat is over, but for its worker."""
-    traceback: str = ""
-    """Of the last failure."""
+    traceback: str = ""  # of the last failure
     claimed_s: float | None = None
     """When its worker took it [s since 1970]; None before, and in heats of older versions."""
-    done_s: float | None = None
-    """When its results came [s since 1970]."""
+    done_s: float | None = None  # when its results came [s since 1970]
 
 
 class DoneHeat(NamedTuple):
     """Who raced a heat, and when it was done."""
 
     worker: str | None
-    done_s: float | None
-    """[s since 1970]."""
+    done_s: float | None  # [s since 1970]
 
 
 @dataclass(frozen=True)
 class StoredResult:
     """A race's result as the store keeps it."""
 
-    heat: int
-    """Number of the heat."""
-    half: int
-    """Which race of the heat, from 0."""
-    hash: str
-    """SHA-256 of places and result."""
+    heat: int  # number of the heat
+    half: int  # which race of the heat, from 0
+    hash: str  # SHA-256 of places and result
     worker: str
-    received_s: float
-    """When it came [s since 1970]."""
-    places: tuple[int, ...]
-    """Place of the car in each grid slot."""
-    result: Mapping[str, Any]
-    """The classification."""
-    replay: str | None
-    """SHA-256 of the recording, a blob."""
+    received_s: float  # when it came [s since 1970]
+    places: tuple[int, ...]  # place of the car in each grid slot
+    result: Mapping[str, Any]  # the classification
+    replay: str | None  # SHA-256 of the recording, a blob
     machine: str
     """Class of the machine that raced it; empty if unknown, or if all give the same bits."""
-    rejected: bool = False
-    """Whether a third worker found another one of the disputed results."""
+    rejected: bool = False  # whether a third worker found another one of the disputed results
 
 
 @dataclass(frozen=True)
@@ -324,24 +290,19 @@ class Columns:
 class Races(Columns):
     """Races that count, as arrays for the rating; slots beyond a race's cars hold -1 and 0."""
 
-    heat: np.ndarray
-    """Number of the heat, (num_races,) int64: races of one heat belong together."""
-    half: np.ndarray
-    """Which race of the heat, (num_races,) uint8."""
+    heat: np.ndarray  # number of the heat, (num_races,) int64: races of one heat belong together
+    half: np.ndarray  # which race of the heat, (num_races,) uint8
     track: np.ndarray
     """Number of the track in the ruleset, 255 for none of them, (num_races,) uint8."""
-    entries: np.ndarray
-    """Entry numbers in grid order, (num_races, most cars) int32."""
+    entries: np.ndarray  # entry numbers in grid order, (num_races, most cars) int32
     places: np.ndarray
     """Places in grid order, from 1, equal for a tie, (num_races, most cars) uint8."""
     runs: np.ndarray
     """How each car's race went, in grid order: KNOWN if that is known, FINISHED if it drove all
     laps, CLEAN if it drove a lap and made no mistake, and its best lap [ms], 0 for none, in
     BEST_MS, (num_races, most cars) uint32."""
-    last: int = 0
-    """Pass this as `since` to read only later races next time."""
-    voided: int = 0
-    """How many heats are in quarantine: if it has changed, read all races again."""
+    last: int = 0  # pass this as `since` to read only later races next time
+    voided: int = 0  # how many heats are in quarantine: if it has changed, read all races again
 
     def of_entry(self, number: int) -> Self:
         """Return the races that an entry was in, by heat and race."""
@@ -368,12 +329,9 @@ class Races(Columns):
 class EntryIndex:
     """Rows of an array of races in which each entry is."""
 
-    covered: int
-    """Rows that it knows."""
-    ordered: np.ndarray
-    """Rows by entry, each as often as it has cars."""
-    ends: np.ndarray
-    """Where the rows of an entry end, (largest number + 2,)."""
+    covered: int  # rows that it knows
+    ordered: np.ndarray  # rows by entry, each as often as it has cars
+    ends: np.ndarray  # where the rows of an entry end, (largest number + 2,)
 
     @classmethod
     def of(cls, entries: np.ndarray) -> EntryIndex:
@@ -394,17 +352,10 @@ class EntryIndex:
 class Drives(Columns):
     """How each car drove in races that count, one row a car, all (cars of all races,) int64."""
 
-    heat: np.ndarray
-    """Number of the heat."""
-    half: np.ndarray
-    """Which race of the heat, from 0."""
-    track: np.ndarray
-    """Number of the track in the ruleset, 255 for none of them."""
-    entry: np.ndarray
-    """Number of the entry that drove it."""
-    points: np.ndarray
-    """Incident points."""
-    distance_cm: np.ndarray
-    """Driven along the centreline [cm]."""
-    last: int = 0
-    """Pass this as `since` to read only later races next time."""
+    heat: np.ndarray  # number of the heat
+    half: np.ndarray  # which race of the heat, from 0
+    track: np.ndarray  # number of the track in the ruleset, 255 for none of them
+    entry: np.ndarray  # number of the entry that drove it
+    points: np.ndarray  # incident points
+    distance_cm: np.ndarray  # driven along the centreline [cm]
+    last: int = 0  # pass this as `since` to read only later races next time

@@ -70,20 +70,13 @@ class ResultStore(schema.Transactional):
 class PackedResult:
     """One result ready to be stored; made before the database is locked."""
 
-    hash: str
-    """SHA-256 of places and result."""
-    document: bytes
-    """Places and result as deflated canonical JSON."""
-    places: tuple[int, ...]
-    """Of the car in each slot."""
-    runs: tuple[int, ...]
-    """Of the car in each slot; see Races.runs."""
-    driven: str
-    """See `driven`."""
-    replay: str | None
-    """SHA-256 of the recording."""
-    machine: str
-    """Class of the machine that raced it."""
+    hash: str  # SHA-256 of places and result
+    document: bytes  # places and result as deflated canonical JSON
+    places: tuple[int, ...]  # of the car in each slot
+    runs: tuple[int, ...]  # of the car in each slot; see Races.runs
+    driven: str  # see `driven`
+    replay: str | None  # SHA-256 of the recording
+    machine: str  # class of the machine that raced it
 
     @classmethod
     def of(cls, text: bytes, replay: str | None, machine: str) -> PackedResult:
@@ -117,8 +110,7 @@ def _pack(race: RaceOutcome, outcome: HeatOutcome, keep: Callable[[bytes], str])
 class _Intake:
     """What a batch of results is going to change; results are (half, hash), by heat."""
 
-    tracks: dict[int, tuple[str, ...]]
-    """Tracks of each ruleset, by its number."""
+    tracks: dict[int, tuple[str, ...]]  # tracks of each ruleset, by its number
     known: dict[int, set[tuple[int, str]]] = field(default_factory=lambda: defaultdict(set))
     """Results that were not rejected."""
     before: dict[int, set[tuple[int, str]]] = field(default_factory=lambda: defaultdict(set))
@@ -129,8 +121,7 @@ class _Intake:
     new_races: list[dict[str, Any]] = field(default_factory=list)
     done: set[int] = field(default_factory=set)
     disputed: set[int] = field(default_factory=set)
-    unverified: set[int] = field(default_factory=set)
-    """Audits that prove nothing."""
+    unverified: set[int] = field(default_factory=set)  # audits that prove nothing
     settled: dict[int, set[tuple[int, str]]] = field(default_factory=dict)
     """Results of a dispute that a third worker found, too."""
 

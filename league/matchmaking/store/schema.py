@@ -4,8 +4,6 @@ A refit reads a million rows of `races`, so they are narrow; documents are in `r
 and heats have numbers in addition to their hashes, so that a race takes tens of bytes.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Generator, Iterable, Mapping
 from contextlib import AbstractContextManager, contextmanager
@@ -261,8 +259,7 @@ class LedgerRecord(NamedTuple):
 
     kind: str
     subject: str
-    content: Any
-    """Plain data that the tables hold, too."""
+    content: Any  # plain data that the tables hold, too
 
 
 def state_record(id: str, state: str, reason: str) -> LedgerRecord:
@@ -285,8 +282,7 @@ class Change:
     """A transaction that writes."""
 
     connection: sa.Connection
-    now: float
-    """When it began [s since 1970]."""
+    now: float  # when it began [s since 1970]
 
     def insert(self, table: sa.Table, *rows: Mapping[str, Any]) -> None:
         """Add rows to a table."""
@@ -332,10 +328,8 @@ def changing(database: Database, *, lock: bool = False) -> Generator[Change]:
 class Transactional:
     """What the parts of a Store have in common: a database, and transactions that write to it."""
 
-    _secret: bytes
-    """The league's, which makes the seeds."""
-    _blobs_url: str
-    """Directory or bucket that files are in; empty for the database itself."""
+    _secret: bytes  # the league's, which makes the seeds
+    _blobs_url: str  # directory or bucket that files are in; empty for the database itself
 
     def __init__(self, database: Database) -> None:
         self._database = database

@@ -1,7 +1,5 @@
 """Seasons, divisions and cups of a league: begun, ended, and what they were frozen as."""
 
-from __future__ import annotations
-
 import json
 import zlib
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Store: the interface of a league's database, which holds all of the league's state."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, closing

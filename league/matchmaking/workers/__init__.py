@@ -5,8 +5,6 @@ pipe each; one that dies is replaced, as actors are. Ray moves jobs and reports,
 database owns results.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os
@@ -23,10 +21,8 @@ from league import subprocesses
 from league.errors import ConfigError
 from league.matchmaking.workers.worker import JOB_LIMIT_S, HeatJob, HeatReport, RaceWorker
 
-WORKERS_PER_CORE = 4
-"""Processes of one machine at most, for each of its cores."""
-MOST_ACTORS = 4096
-"""Actors of a cluster at most."""
+WORKERS_PER_CORE = 4  # processes of one machine at most, for each of its cores
+MOST_ACTORS = 4096  # actors of a cluster at most
 MODULES = (
     "league.agents.policy",
     "league.agents.roster",
@@ -36,8 +32,7 @@ MODULES = (
     "league.sim.camera.renderer",
 )
 """Modules that a worker imports."""
-STARTS = 3
-"""Give up after this many consecutive failed starts of a worker."""
+STARTS = 3  # give up after this many consecutive failed starts of a worker
 KILLED = (-signal.SIGKILL, -signal.SIGTERM, 255)
 """Exit codes of workers that were killed; 255 when the fork server died, and its children."""
 
@@ -46,11 +41,9 @@ KILLED = (-signal.SIGKILL, -signal.SIGTERM, 255)
 class Slot:
     """One worker, or the one that replaces it."""
 
-    worker: str
-    """What it is, for messages."""
+    worker: str  # what it is, for messages
     job: HeatJob | None = None
-    since_s: float = 0.0
-    """When the job began, on time.monotonic's clock [s]."""
+    since_s: float = 0.0  # when the job began, on time.monotonic's clock [s]
 
 
 AnySlot = TypeVar("AnySlot", bound=Slot)
@@ -114,20 +107,16 @@ class SlotExecutor(Generic[AnySlot]):
         raise NotImplementedError
 
 
-Executor = SlotExecutor[Any]
-"""Workers of any kind."""
+Executor = SlotExecutor[Any]  # workers of any kind
 
 
 @dataclass(kw_only=True)
 class _Process(Slot):
-    """One worker process."""
-
     process: BaseProcess
     pipe: Connection
     ready: bool = False
     """Whether it reads from the pipe: before, it gets no job, for a large one would block."""
-    failed_starts: int = 0
-    """Consecutive processes that died before they were ready."""
+    failed_starts: int = 0  # consecutive processes that died before they were ready
 
 
 class ProcessExecutor(SlotExecutor[_Process]):
@@ -221,8 +210,6 @@ def _work(pipe: Connection) -> None:
 
 @dataclass(kw_only=True)
 class _Actor(Slot):
-    """One actor."""
-
     actor: Any
     answer: Any = None
 

@@ -27,13 +27,11 @@ if TYPE_CHECKING:
     from league.sim.config import CarConfig
     from league.track.track import Track
 
-KEPT = 64
-"""Drivers and checkpoints that a worker keeps ready."""
+KEPT = 64  # drivers and checkpoints that a worker keeps ready
 TOO_LATE_S = 2.0
 """Processor time after which an answer is too late [s]: eighty times what a submission may take, so
 that whether an honest driver is late never depends on the machine."""
-JOB_LIMIT_S = 1800.0
-"""A heat that takes longer than this is stuck: its worker is ended [s]."""
+JOB_LIMIT_S = 1800.0  # a heat that takes longer than this is stuck: its worker is ended [s]
 SPEC_FIELDS = (
     "kind", "laps", "solver", "max_time_s", "rules", "obstacles", "obstacle_kind", "variation",
     "format",
@@ -47,10 +45,8 @@ class HeatDriver:
     """An entry as a worker needs it."""
 
     id: str
-    name: str
-    """Name shown in the replay."""
-    scripted: str = ""
-    """Name of the scripted driver; empty for a policy."""
+    name: str  # name shown in the replay
+    scripted: str = ""  # name of the scripted driver; empty for a policy
     weights: bytes = field(default=b"", compare=False, repr=False)
     """The entry's safetensors file; empty for a scripted driver."""
 
@@ -60,16 +56,12 @@ class HeatJob:
     """A heat to race."""
 
     key: str
-    number: int
-    """Number of the heat, for messages."""
+    number: int  # number of the heat, for messages
     halves: tuple[Half, ...]
-    seeds: tuple[int, ...]
-    """Seed of each race."""
+    seeds: tuple[int, ...]  # seed of each race
     ruleset: Ruleset
-    drivers: Mapping[str, HeatDriver]
-    """By entry id."""
-    keep_replays: bool = True
-    """Whether the recordings are handed in; their hashes always are."""
+    drivers: Mapping[str, HeatDriver]  # by entry id
+    keep_replays: bool = True  # whether the recordings are handed in; their hashes always are
 
 
 @dataclass(frozen=True)
@@ -77,16 +69,11 @@ class HeatReport:
     """How a job went."""
 
     key: str
-    outcome: HeatOutcome | None
-    """Its results; None if it could not be raced."""
-    traceback: str = ""
-    """Why it could not."""
-    wall_s: float = 0.0
-    """Time it took [s]."""
-    race_s: float = 0.0
-    """Race time driven [s]."""
-    lost: bool = False
-    """Whether its worker was killed, which is not the race's fault."""
+    outcome: HeatOutcome | None  # its results; None if it could not be raced
+    traceback: str = ""  # why it could not
+    wall_s: float = 0.0  # time it took [s]
+    race_s: float = 0.0  # race time driven [s]
+    lost: bool = False  # whether its worker was killed, which is not the race's fault
 
 
 def check_physics(rules: Ruleset, what: str) -> None:
