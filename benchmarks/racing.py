@@ -73,6 +73,7 @@ def measure(path: str, cfg: DuelConfig) -> None:
     ):
         seen = duels.from_behind(cfg, (load(rival), load(path)), (top_speed, 1.0))
         figure(f"from behind against {name}: won", 100 * seen.passed, "%", 90)
+        figure("  won, and the rival left the road", 100 * seen.given, "%")
 
 
 def _top_speed(cfg: DuelConfig, driver: Driver, lap_s: float) -> float:

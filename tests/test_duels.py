@@ -43,6 +43,13 @@ def test_who_is_faster_on_another_lane_passes_cleanly_and_who_is_not_does_not():
     assert fast.passed == 0.0 and fast.held == 1.0
 
 
+def test_a_rival_that_leaves_the_road_gives_the_race_away():
+    fair = duels.from_behind(CFG, (Lane(-0.3), Lane(0.3)), (0.4, 1.0))
+    given = duels.from_behind(CFG, (Lane(-1.5), Lane(0.3)), (0.4, 1.0))
+    assert (fair.passed, fair.given) == (1.0, 0.0)
+    assert (given.passed, given.given) == (1.0, 1.0)
+
+
 def test_from_the_last_place_all_others_count():
     field = Lane(-0.3), Lane(-0.3), Lane(-0.3), Lane(0.3)
     found = duels.from_behind(CFG, field, (0.45, 0.4, 0.35, 1.0))
@@ -62,7 +69,7 @@ def test_the_threshold_lies_between_what_succeeds_and_what_fails(monkeypatch):
     def raced(cfg, field, top_speeds):
         tried.append(top_speeds[0])
         clean = float(top_speeds[0] < 0.83)
-        return Duels(6, clean, clean, 1.0 - clean, clean, 0.1, 1, 0, 0)
+        return Duels(6, clean, 0.0, clean, 1.0 - clean, clean, 0.1, 1, 0, 0)
 
     monkeypatch.setattr(duels, "from_behind", raced)
     monkeypatch.setattr(duels, "solo_lap", lambda cfg, driver, top_speed=1.0: 5.0 / top_speed)

@@ -47,6 +47,7 @@ class Duels:
 
     races: int  # races driven
     passed: float  # share of races in which the attacker finished ahead of all
+    given: float  # share in which it did, and another car left the road
     clean: float  # share in which it did, without a contact to blame for or leaving the road
     held: float  # share in which the defender finished ahead, without a contact to blame for
     places: float  # mean number of places that the attacker gained
@@ -105,6 +106,7 @@ def from_behind(cfg: DuelConfig, field: Sequence[Driver], top_speeds: Sequence[f
     return Duels(
         races=cfg.races,
         passed=float(ahead.all(axis=1).mean()),
+        given=float((ahead.all(axis=1) & (off[:, :last] > 0).any(axis=1)).mean()),
         clean=float((ahead.all(axis=1) & clean).mean()),
         held=float((~ahead[:, 0] & (contacts[:, 0] == 0)).mean()),
         places=float(ahead.sum(axis=1).mean()),
