@@ -54,7 +54,7 @@ def test_every_page_is_there_and_allows_no_foreign_script(client, path):
     assert len(answer.content) < 200_000
     for tag, attributes in Elements(answer.text).found:
         assert tag != "style" and "style" not in attributes
-        assert not any(name.startswith("on") for name in attributes)
+        assert not any(name.startswith(("on", "hx-on")) for name in attributes)
         if tag in ("script", "img", "link"):
             address = attributes.get("src") or attributes.get("href") or ""
             own = "/heats/" if tag == "img" else "/static/"
