@@ -99,6 +99,26 @@ def test_a_race_that_is_over_stays_until_there_is_a_newer_one(page, store, compl
     assert complaints == []
 
 
+def test_the_standings_are_sorted_and_filtered_where_they_are(page, complaints):
+    page.goto("/standings")
+    names = page.locator("td.name > a")
+    page.evaluate("window.stays = true")
+    page.get_by_role("link", name="Driver", exact=True).click()
+    expect(page).to_have_url("/standings?sort=name")
+    expect(names).to_have_text(["blocks", "centerline", "racing_line"])
+    expect(page.get_by_role("status")).to_have_text("Drivers on this page: 3, sorted by name.")
+    page.get_by_label("Kind").select_option("scripted")
+    expect(names).to_have_text(["blocks"])
+    data = page.get_by_role("link", name="This page as JSON").get_attribute("href")
+    assert "kind=scripted" in page.url and data.endswith(page.url.partition("?")[2])
+    page.go_back()
+    expect(names).to_have_text(["blocks", "centerline", "racing_line"])
+    expect(page.get_by_label("Kind")).to_have_value("")
+    page.go_back()
+    expect(page.locator("th[aria-sort]")).to_have_text("Rating")
+    assert page.evaluate("window.stays") and complaints == []
+
+
 @pytest.mark.parametrize("answer", [None, 502])
 def test_a_form_keeps_its_input_if_the_server_does_not_answer(page, answer):
     page.goto("/drivers/1/retire")
