@@ -82,14 +82,9 @@ class Player {
     this.readColours();
     this.resize();
     new ResizeObserver(() => this.resize()).observe(this.canvas);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
-      this.readColours();
-      this.draw();
-    });
     (root.dataset.keys === "page" ? document : root).addEventListener("keydown", (event) =>
       this.key(event),
     );
-    addEventListener("hashchange", () => this.seekToHash());
     const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
     if (!this.seekToHash() && plays && !still) this.toggle();
   }
@@ -450,5 +445,17 @@ function beginAll(event) {
   for (const root of document.querySelectorAll("[data-replay]")) root.begun ??= begin(root, event);
 }
 
+// The window would keep players that another race has taken the place of.
+function players() {
+  return [...document.querySelectorAll("[data-replay].ready")].map((root) => root.player);
+}
+
+addEventListener("hashchange", () => players().forEach((player) => player.seekToHash()));
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+  for (const player of players()) {
+    player.readColours();
+    player.draw();
+  }
+});
 beginAll();
 document.addEventListener("htmx:after:swap", beginAll);
