@@ -103,6 +103,9 @@ def test_the_standings_are_sorted_and_filtered_where_they_are(page, complaints):
     page.goto("/standings")
     names = page.locator("td.name > a")
     page.evaluate("window.stays = true")
+    with page.context.expect_page() as tab:
+        page.get_by_role("link", name="Driver", exact=True).click(modifiers=["Control"])
+    assert tab.value.url.endswith("/standings?sort=name") and page.url.endswith("/standings")
     page.get_by_role("link", name="Driver", exact=True).click()
     expect(page).to_have_url("/standings?sort=name")
     expect(names).to_have_text(["blocks", "centerline", "racing_line"])
@@ -117,6 +120,13 @@ def test_the_standings_are_sorted_and_filtered_where_they_are(page, complaints):
     page.go_back()
     expect(page.locator("th[aria-sort]")).to_have_text("Rating")
     assert page.evaluate("window.stays") and complaints == []
+    page.route("**/standings?*", lambda route: route.abort())
+    page.get_by_role("link", name="Driver", exact=True).click()
+    expect(page.get_by_role("alert")).to_have_text("The server did not answer: try again.")
+    page.unroute("**/standings?*")
+    page.get_by_role("link", name="Driver", exact=True).click()
+    expect(page).to_have_url("/standings?sort=name")
+    expect(page.locator("#refusal")).to_be_hidden()
 
 
 @pytest.mark.parametrize("answer", [None, 502])

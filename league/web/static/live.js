@@ -10,9 +10,9 @@ document.addEventListener("htmx:before:request", (event) => {
   if (document.hidden || used || (race && !race.over)) event.preventDefault();
 });
 
-function say({ target: form, detail: { ctx, error } }) {
+function say({ detail: { ctx, error } }) {
   const refusal = document.getElementById("refusal");
-  if (!refusal || !form.matches("form")) return;
+  if (!refusal) return;
   refusal.textContent = error
     ? "The server did not answer: try again."
     : `The server answered ${ctx.response.status}.`; // until its own sentence is there
@@ -20,3 +20,10 @@ function say({ target: form, detail: { ctx, error } }) {
 }
 document.addEventListener("htmx:response:error", say);
 document.addEventListener("htmx:error", say);
+
+// A click with such a key opens a tab or a window; htmx 4.0.1 would swallow it.
+function leaveToTheBrowser(event) {
+  const other = event.ctrlKey || event.metaKey || event.shiftKey;
+  if (other && event.target.closest("a[hx-boost]")) event.stopPropagation();
+}
+document.addEventListener("click", leaveToTheBrowser, { capture: true });
