@@ -52,7 +52,7 @@ STATIC = {
     "player.js": "text/javascript",
     "heat.js": "text/javascript",
     "live.js": "text/javascript",
-    "form.js": "text/javascript",
+    "htmx.min.js": "text/javascript",
     "icon.svg": "image/svg+xml",
 }
 """All static files, with their types; they are read once, when the program starts."""

@@ -191,6 +191,8 @@ class Form:
             except HTTPException as error:
                 await drain(request)
                 return shown(fields, error.status_code, error.detail)
+            if "hx-request" in request.headers:  # a script would follow 303 without the browser
+                return Response(status_code=204, headers={"HX-Redirect": address})
             return RedirectResponse(address, 303)
 
         return Route(self.path, respond, methods=["GET", "POST"])

@@ -17,7 +17,7 @@ from league.errors import LeagueError, StoreError
 from league.matchmaking.documents import heat_document
 from league.matchmaking.pairing.heat_spec import Half
 from league.matchmaking.standings import Standings
-from league.matchmaking.store import HeatRecord, HeatState, LeagueEntry, Store, StoredResult
+from league.matchmaking.store import HeatRecord, HeatState, LeagueEntry, Season, Store, StoredResult
 from league.racing_line.racing_line import lap_bound
 from league.replay import Replay, format
 from league.sim.config import CarConfig
@@ -181,6 +181,13 @@ class Reader:
         if entry is None:
             raise NotFoundError(f"This league has no driver {number}: the standings list them.")
         return entry
+
+    def season(self, number: str) -> Season:
+        """Return a season by its number, as it was asked for."""
+        found = (one for one in self.snapshot().seasons if str(one.number) == number)
+        if (season := next(found, None)) is None:
+            raise NotFoundError(f"This league has no season {number[:20]!r}.")
+        return season
 
     def entry_of(self, id: str) -> LeagueEntry:
         """Return an entry by its id, which a heat names."""

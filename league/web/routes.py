@@ -94,6 +94,7 @@ PAGES = (
     Page("/heats", "The heats that are done, the newest first", heats.heats, "heats.html",
          shared=True,
          query={"driver": "Number of a driver: only its heats, and how it did in each race",
+          "season": "Number of a season: only its heats",
           "page": "Number of the page, from 1"},
          answer=schemas.HeatsAnswer),
     Page("/feed.atom", "The newest heats as a feed", heats.feed, "feed.xml", shared=True,

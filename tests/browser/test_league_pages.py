@@ -314,9 +314,13 @@ def test_a_heat_is_followed_until_it_plays(browser, origin, store, complaints):
     page = opened(browser, origin, complaints)
     page.goto(f"/heats/{number}")
     expect(page.get_by_role("status")).to_contain_text("It waits in a queue")
+    page.evaluate("window.stays = true")
     loop.run(store, Dispatcher(store, Here()), None, heats=store.counts()["planned"])
     page.locator("canvas").wait_for(timeout=60_000)
     expect(page.get_by_role("button", name="Pause")).to_be_visible()
+    now = page.locator("svg[data-time-from] .now")
+    expect(now).not_to_have_attribute("x1", now.get_attribute("x1"))  # it follows the race
+    assert page.evaluate("window.stays")
     assert complaints == []
 
 

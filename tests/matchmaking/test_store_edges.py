@@ -136,6 +136,11 @@ def test_newest_heats_come_in_order_and_pages_leave_none_out(league):
     assert league.num_done() == 4
     assert [one.number for one in league.done(entry=one, skip=0, limit=9)] == [3, 2, 1]
     assert league.num_done(one) == 3
+    over = Season(1, "Spring", 0, {}, 0.0, 1.0, "", "", 0, 2)
+    running = Season(2, "Summer", 0, {}, 1.0, None, "", "", 2, None)
+    assert [one.number for one in league.done(entry=None, skip=0, limit=9, season=over)] == [2, 1]
+    assert [one.number for one in league.done(entry=one, skip=0, limit=9, season=running)] == [3]
+    assert (league.num_done(one, over), league.num_done(None, running)) == (2, 2)
 
 
 # Entries

@@ -19,6 +19,8 @@ ABOUT = {
         "Rating difference, 95 %": "difference", "Races": "races", "Points": "points",
         "Expected": "expected", "Won – tied – lost": "points",
     },
+    "/tracks": {"Lap": "clean-lap", "Medal": "medals"},
+    "/heats/{heat}": {"Off": "mistakes", "Crashes": "mistakes", "Passed": "passed"},
     "/standings?against=3": {"Points": "points", "Expected": "expected", "Rating": "rating"},
 }  # fmt: skip
 HEADS = {
@@ -28,8 +30,8 @@ HEADS = {
 
 
 @pytest.mark.parametrize("path", ABOUT)
-def test_each_number_links_to_its_definition(client, path):
-    page = client.get(path).text
+def test_each_number_links_to_its_definition(client, store, path):
+    page = client.get(path.format(heat=rated_heat(store))).text
     known = set(re.findall(r'<dt id="([\w-]+)"', client.get("/definitions").text))
     for label, about in ABOUT[path].items():
         assert f'<a href="/definitions#{about}">{label}</a>' in page, label
@@ -50,12 +52,26 @@ def test_heads_of_the_standings_have_definitions_whatever_they_are_sorted_by(cli
 def test_counts_of_races_lead_to_the_heats_of_the_driver(client, store):
     page = client.get("/standings").text
     for row in client.get("/api/v1/standings").json()["rows"]:
-        assert f'<a href="/heats?driver={row["number"]}">{row["races"]}</a>' in page
+        shares = [f"{100 * (1 - row['unfinished']):.0f} %"] if row["races"] else []
+        for count in (row["races"], row["wins"], *shares):
+            assert f'<a href="/heats?driver={row["number"]}">{count}</a>' in page
     driver, standing = client.get("/drivers/3").text, client.get("/api/v1/drivers/3").json()
     for number in (standing["standing"]["races"], standing["standing"]["wins"]):
         assert f'<dd><a href="/heats?driver=3">{number}</a></dd>' in driver
     heats = store.heats(("done",), entries=[3])
     assert f'<a href="/heats?driver=3">All {len(heats)} heats</a>' in driver
+
+
+def test_a_clean_lap_in_the_standings_leads_to_the_lap(client):
+    track, rows = "reinvent_2018", client.get("/api/v1/standings").json()["rows"]
+    row = next(one for one in rows if track in one["clean_laps_s"])
+    address = f"/ghosts?track={track}&one={row['number']}"
+    assert f'href="{address.replace("&", "&amp;")}"' in client.get("/standings").text
+    shown = client.get(f"/api/v1{address}").json()["pair"][0]
+    assert shown["entry"] == row["number"]
+    assert shown["lap_s"] == pytest.approx(row["clean_laps_s"][track], abs=0.001)
+    # In the races of so many cars alone it may be another lap.
+    assert "/ghosts?" not in client.get("/standings?cars=2").text
 
 
 def test_heats_of_a_driver_show_its_place_in_each_race(client, store):

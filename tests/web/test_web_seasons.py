@@ -63,6 +63,23 @@ def test_a_season_shows_its_standings_as_they_were_frozen(client, store):
     assert client.get("/seasons/9").status_code == 404
 
 
+def test_numbers_of_a_season_lead_to_its_heats(client, store):
+    spring, summer = store.seasons()
+    row = client.get("/api/v1/seasons/1").json()["rows"][0]
+    page, address = client.get("/seasons/1").text, f"/heats?driver={row['number']}&season=1"
+    for count in (row["races"], row["wins"]):
+        assert f'<a href="{address.replace("&", "&amp;")}">{count}</a>' in page
+    document = client.get(f"/api/v1{address}").json()
+    rated = [one for one in document["heats"] if one["purpose"] == "rated"]
+    assert sum(len(one["own"]) for one in rated) == row["races"]
+    assert document["season"]["name"] == "Spring" and "Spring" in client.get(address).text
+    whole = [client.get(f"/api/v1/heats?season={number}").json() for number in (1, 2)]
+    assert min(one["number"] for one in whole[1]["heats"]) > spring.until == summer.after
+    assert sum(one["count"] for one in whole) == client.get("/api/v1/heats").json()["count"]
+    for wrong in ("3", "x", "-1"):
+        assert client.get(f"/heats?season={wrong}").status_code == 404
+
+
 def test_the_running_season_shows_who_leads_and_its_newest_heats(client, store):
     document, page = client.get("/api/v1/seasons/2").json(), client.get("/seasons/2").text
     assert document["leaders"] == client.get("/api/v1/seasons").json()["leaders"] != []

@@ -311,6 +311,14 @@ def test_a_form_of_another_site_is_refused(store, headers, status):
     assert len(store.entries()) == 1 + (status == 303)
 
 
+def test_a_script_that_sends_a_form_is_given_the_address_to_go_to(store):
+    own = secret(store)
+    with served(store) as client:
+        answer = filled(client, {**SAME, "hx-request": "true"}, token=own, name="Ann's car")
+    number = store.entry("Ann's car").number
+    assert (answer.status_code, answer.headers["hx-redirect"]) == (204, f"/drivers/{number}")
+
+
 def test_ten_thousand_mutated_forms_make_no_internal_error(store):
     from league.web.protected import form_fields
 

@@ -134,12 +134,15 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         """Let all that this thread reads meanwhile see the league at one moment, and sooner."""
         return self._database.reading_at_once()
 
-    def done(self, *, entry: int | None, skip: int, limit: int) -> list[records.HeatRecord]:
-        """Return up to `limit` heats that are done, of all or one entry (its number).
+    def done(
+        self, *, entry: int | None, skip: int, limit: int, season: records.Season | None = None
+    ) -> list[records.HeatRecord]:
+        """Return up to `limit` heats that are done, of all or one entry (its number) or season.
 
         The newest come first, and `skip` of them are left out.
         """
-        query = sa.select(heats.c.number).where(self._done(entry)).order_by(heats.c.number.desc())
+        query = sa.select(heats.c.number).where(self._done(entry, season))
+        query = query.order_by(heats.c.number.desc())
         with self._database.reading() as connection:
             numbers = list(connection.scalars(query.offset(skip).limit(limit)))
         return self.heats(numbers=numbers)[::-1]
@@ -151,15 +154,20 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
             rows = connection.execute(query.order_by(heats.c.number.desc()).limit(limit))
             return [records.DoneHeat(*row) for row in rows]
 
-    def num_done(self, entry: int | None = None) -> int:
-        """Return how many heats are done, of all or of one entry (its number)."""
-        query = sa.select(sa.func.count()).select_from(heats).where(self._done(entry))
+    def num_done(self, entry: int | None = None, season: records.Season | None = None) -> int:
+        """Return how many heats are done, of all or of one entry (its number) or season."""
+        query = sa.select(sa.func.count()).select_from(heats).where(self._done(entry, season))
         with self._database.reading() as connection:
             return connection.scalar(query) or 0
 
-    def _done(self, entry: int | None) -> sa.ColumnElement[bool]:
+    def _done(
+        self, entry: int | None, season: records.Season | None = None
+    ) -> sa.ColumnElement[bool]:
         # By an index of states the database would sort all heats that are done.
         match = self._shown(heats.c.number) & (heats.c.state.concat("") == "done")
+        if season is not None:
+            match &= heats.c.number > season.after
+            match &= heats.c.number <= season.until if season.until is not None else sa.true()
         return match if entry is None else match & heats.c.number.in_(queue.of_entry(entry))
 
     def races(

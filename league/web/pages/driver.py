@@ -285,9 +285,8 @@ def matchup(reader: Reader, one: int, other: int, before: str = "", season: str 
         raise NotFoundError("A driver does not meet itself: name two different ones.")
     end = heat_number(before) if before else None
     now = reader.snapshot()
-    seasons = {str(one.number): one for one in now.seasons}
-    if season and season not in seasons:
-        raise NotFoundError(f"This league has no season {season[:20]!r}.")
+    chosen = reader.season(season) if season else None
+    seasons: dict[int | None, Season] = {one.number: one for one in now.seasons}
     rows = now.rows.get(one), now.rows.get(other)
     both = now.rated if all(rows) else None
     met = reader.store.heats(entries=[one, other])
@@ -299,8 +298,8 @@ def matchup(reader: Reader, one: int, other: int, before: str = "", season: str 
     records = [record for record in met if record.state in OVER]
     if end is not None:
         records = [record for record in records if record.number < end]
-    if season:
-        within = seasons[season].has(np.array([record.number for record in records]))
+    if chosen:
+        within = chosen.has(np.array([record.number for record in records]))
         records = [record for record, kept in zip(records, within, strict=True) if kept]
     return {
         "one": pair[0],
@@ -316,14 +315,14 @@ def matchup(reader: Reader, one: int, other: int, before: str = "", season: str 
         ),
         "records": [
             {
-                "season": seasons.get(str(number)),
+                "season": seasons.get(number),
                 "present": bool(both and both.season and both.season.number == number),
                 **_record(own),
             }
             for number, own in reversed(by_season.items())
         ],
         "whole": _record([*itertools.chain(*by_season.values())]),
-        "chosen": seasons.get(season),
+        "chosen": chosen,
         "waiting": sum(record.state in WAITING for record in met),
         "older": records[-HEATS_MET].number if len(records) > HEATS_MET else None,
     }

@@ -91,24 +91,27 @@ def feed(reader: Reader) -> Document:
     return {"heats": reader.listed(reader.newest(RECENT))}
 
 
-def heats(reader: Reader, driver: str = "", page: str = "") -> Document:
-    """Return a page of the heats that are done, the newest first, of all or of a `driver`.
+def heats(reader: Reader, driver: str = "", season: str = "", page: str = "") -> Document:
+    """Return a page of the heats that are done, the newest first, of all, a `driver` or a `season`.
 
     Those of a driver tell how it did in each race.
     """
     store = reader.store
     entry = reader.entry(heat_number(driver, "driver")) if driver else None
     of = entry.number if entry else None
+    chosen = reader.season(season) if season else None
     counts = reader.counts()
-    count = counts.get("done", 0) if of is None else store.num_done(of)
-    lines, paged = paging(count, page, "heats", "/heats", {"driver": driver} if driver else {})
-    records = store.done(entry=of, skip=lines.start, limit=lines.stop - lines.start)
+    count = store.num_done(of, chosen) if entry or chosen else counts.get("done", 0)
+    asked = {name: text for name, text in (("driver", driver), ("season", season)) if text}
+    lines, paged = paging(count, page, "heats", "/heats", asked)
+    records = store.done(entry=of, season=chosen, skip=lines.start, limit=lines.stop - lines.start)
     row = reader.snapshot().rows.get(of or 0)
     return {
         "heats": reader.listed(records, of=entry),
         "counts": counts,
         "count": count,
         "driver": entry,
+        "season": chosen,
         "races": row.races if row else 0,
         **paged,
     }

@@ -278,6 +278,8 @@ class HeatsAnswer(Page):
     count: int
     """Heats on all pages."""
     driver: LeagueEntry | None
+    season: Season | None
+    """The one that was asked for; null for all."""
     races: int
     """Rated races of the driver."""
 

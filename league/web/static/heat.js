@@ -1,7 +1,7 @@
 // A heat's page: charts and events follow the player, and a click on a chart of time leads it there.
 "use strict";
 
-for (const root of document.querySelectorAll(".player[data-keys]")) {
+function follow(root) {
   const marks = [...document.querySelectorAll("svg[data-time-from]")].map((chart) => {
     const [from, to, left, right] = ["timeFrom", "timeTo", "left", "right"].map((name) =>
       Number(chart.dataset[name]),
@@ -31,3 +31,10 @@ for (const root of document.querySelectorAll(".player[data-keys]")) {
     latest = now;
   });
 }
+
+function followAll() {
+  for (const root of document.querySelectorAll(".player[data-keys]")) follow(root);
+}
+
+followAll();
+document.addEventListener("htmx:after:swap", followAll); // of a heat that was waited for

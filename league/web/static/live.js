@@ -1,46 +1,29 @@
-// Keeps what is on a page up to date while it is looked at, and shows one race after the other.
+// What htmx does not know: when a part of a page stays as it is, and what to say without an answer.
 "use strict";
 
-const EVERY_MS = 4000;
-const WAITING_MS = 1500; // for a heat's page until its race can be watched
-
-async function fetched() {
-  const answer = await fetch(location.href.split("#")[0]).catch(() => null);
-  return answer?.ok ? new DOMParser().parseFromString(await answer.text(), "text/html") : null;
-}
-
-async function refresh() {
-  if (document.hidden) return;
-  const page = await fetched();
-  const [old, now] = [document, page].map((one) => one?.querySelector("[data-live]"));
-  if (old && page && !now) {
-    // The race is over: its page is another one, and plays it.
-    history.replaceState(null, "", "#play");
-    location.reload();
-    return;
-  }
+document.addEventListener("htmx:before:request", (event) => {
+  const part = event.detail.ctx.sourceElement;
   // A link that has the focus would lose it.
-  if (old && now && old.innerHTML !== now.innerHTML && !old.contains(document.activeElement)) {
-    old.replaceChildren(...document.adoptNode(now).childNodes);
-  }
-}
-
-/** Put the newest race in the place of one that has ended, as soon as there is a newer one. */
-async function next(screen) {
-  const now = (await fetched())?.querySelector("[data-newest]");
-  if (!now || now.dataset.newest === screen.dataset.newest) {
-    setTimeout(() => next(screen), EVERY_MS);
-    return;
-  }
-  screen.dataset.newest = now.dataset.newest;
-  screen.replaceChildren(...document.adoptNode(now).childNodes);
-  begin(screen.querySelector("[data-replay]"));
-}
-
-document.addEventListener("raceend", (event) => {
-  const screen = event.target.closest("[data-newest]");
-  if (screen) next(screen);
+  const used = part.matches("[data-live=list]") && part.contains(document.activeElement);
+  // The next race takes the place of one that is over.
+  const race = part.matches("[data-newest]") && part.querySelector(".player").player;
+  if (document.hidden || used || (race && !race.over)) event.preventDefault();
 });
 
-const waits = document.querySelector("[data-live=heat]");
-if (document.querySelector("[data-live]")) setInterval(refresh, waits ? WAITING_MS : EVERY_MS);
+function say({ detail: { ctx, error } }) {
+  const refusal = document.getElementById("refusal");
+  if (!refusal) return;
+  refusal.textContent = error
+    ? "The server did not answer: try again."
+    : `The server answered ${ctx.response.status}.`; // until its own sentence is there
+  refusal.hidden = false;
+}
+document.addEventListener("htmx:response:error", say);
+document.addEventListener("htmx:error", say);
+
+// A click with such a key opens a tab or a window; htmx 4.0.1 would swallow it.
+function leaveToTheBrowser(event) {
+  const other = event.ctrlKey || event.metaKey || event.shiftKey;
+  if (other && event.target.closest("a[hx-boost]")) event.stopPropagation();
+}
+document.addEventListener("click", leaveToTheBrowser, { capture: true });

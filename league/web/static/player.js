@@ -69,7 +69,7 @@ class Race {
 }
 
 class Player {
-  constructor(root, record) {
+  constructor(root, record, plays) {
     this.root = root;
     this.race = new Race(record);
     this.time = 0;
@@ -82,17 +82,15 @@ class Player {
     this.readColours();
     this.resize();
     new ResizeObserver(() => this.resize()).observe(this.canvas);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
-      this.readColours();
-      this.draw();
-    });
     (root.dataset.keys === "page" ? document : root).addEventListener("keydown", (event) =>
       this.key(event),
     );
-    addEventListener("hashchange", () => this.seekToHash());
     const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-    const asked = "autoplay" in root.dataset || location.hash === "#play";
-    if (!this.seekToHash() && asked && !still) this.toggle();
+    if (!this.seekToHash() && plays && !still) this.toggle();
+  }
+
+  get over() {
+    return this.time >= this.race.duration_s;
   }
 
   build() {
@@ -342,13 +340,13 @@ class Player {
     this.playing = !this.playing;
     this.button.textContent = this.playing ? "Pause" : "Play";
     if (!this.playing) return this.draw();
-    if (this.time >= this.race.duration_s) this.time = 0;
+    if (this.over) this.time = 0;
     let before = performance.now();
     const next = (now) => {
       if (!this.playing) return;
       this.time += (Math.min(now - before, 200) / 1000) * this.speed;
       before = now;
-      if (this.time >= this.race.duration_s) {
+      if (this.over) {
         this.time = "loop" in this.root.dataset ? 0 : this.race.duration_s;
         if (this.time) {
           this.toggle();
@@ -429,20 +427,35 @@ class Player {
 }
 
 /** Make a player of an element with the address of a race, or with the race on the page. */
-function begin(root) {
-  const inline = document.getElementById("race-data");
-  const record = inline
-    ? Promise.resolve(JSON.parse(inline.textContent))
-    : fetch(root.dataset.replay).then((answer) => {
-        if (!answer.ok) throw new Error(`The recording cannot be read (${answer.status}).`);
-        return answer.json();
-      });
-  record
-    .then((race) => {
-      root.player = new Player(root, race);
-      root.addEventListener("seekto", (event) => root.player.seek(event.detail));
-    })
-    .catch((error) => root.append(element("p", { role: "alert" }, error.message)));
+async function begin(root, plays) {
+  try {
+    const inline = document.getElementById("race-data");
+    const answer = inline ? null : await fetch(root.dataset.replay);
+    if (answer && !answer.ok) throw new Error(`The recording cannot be read (${answer.status}).`);
+    const race = inline ? JSON.parse(inline.textContent) : await answer.json();
+    root.player = new Player(root, race, plays || "autoplay" in root.dataset);
+    root.addEventListener("seekto", (event) => root.player.seek(event.detail));
+  } catch (error) {
+    root.append(element("p", { role: "alert" }, error.message));
+  }
 }
 
-for (const root of document.querySelectorAll("[data-replay]")) begin(root);
+/** Make players of those elements that are not yet; races that come while one waits for them play. */
+function beginAll(event) {
+  for (const root of document.querySelectorAll("[data-replay]")) root.begun ??= begin(root, event);
+}
+
+// The window would keep players that another race has taken the place of.
+function players() {
+  return [...document.querySelectorAll("[data-replay].ready")].map((root) => root.player);
+}
+
+addEventListener("hashchange", () => players().forEach((player) => player.seekToHash()));
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+  for (const player of players()) {
+    player.readColours();
+    player.draw();
+  }
+});
+beginAll();
+document.addEventListener("htmx:after:swap", beginAll);
