@@ -246,7 +246,7 @@ def test_a_driver_chosen_in_the_standings_leads_to_its_meetings(browser, origin,
     page.get_by_role("button", name="Show").click()
     assert page.locator("tr.chosen td.name").inner_text() == NAME
     rival = page.locator("tr", has_text="racing_line")
-    points = rival.locator("a[href^='/matchups/']")
+    points = rival.locator("a[href^='/matchups/']").nth(1)
     won = points.inner_text()
     points.click()
     assert page.get_by_role("heading", level=1).inner_text() == f"racing_line – {NAME}"

@@ -7,21 +7,29 @@ import re
 import pytest
 
 from league.web import reader
+from tests.web.numbers import without_heats
 from tests.web.small_league import NAME, OWNER, rated_heat
 
 ABOUT = {
     "/": {"Rank": "rank", "Rating": "rating", "95 % interval": "interval", "Races": "races"},
     "/drivers/3": {
         "Rank": "rank", "Rating": "rating", "Races": "races", "Wins": "races", "Finishes": "races",
-        "Safety": "safety", "Expected": "expected", "Points": "points",
+        "Safety": "safety", "Expected": "expected", "Points": "points", "Met": "races",
+        "Rating, 95 %": "interval", "per 100 corners": "incidents",
     },
     "/matchups/3/1": {
         "Rating difference, 95 %": "difference", "Races": "races", "Points": "points",
         "Expected": "expected", "Won – tied – lost": "points",
     },
+    "/live": {
+        "Racing": "racing", "In the queue": "queue", "Heats per minute": "pace",
+        "Done in all": "heat",
+    },
     "/tracks": {"Lap": "clean-lap", "Medal": "medals"},
     "/heats/{heat}": {"Off": "mistakes", "Crashes": "mistakes", "Passed": "passed"},
-    "/standings?against=3": {"Points": "points", "Expected": "expected", "Rating": "rating"},
+    "/standings?against=3": {
+        "Met": "races", "Points": "points", "Expected": "expected", "Rating": "rating",
+    },
 }  # fmt: skip
 HEADS = {
     "Rating": "rating", "Races": "races", "Wins": "races", "Finishes": "races",
@@ -70,8 +78,57 @@ def test_a_clean_lap_in_the_standings_leads_to_the_lap(client):
     shown = client.get(f"/api/v1{address}").json()["pair"][0]
     assert shown["entry"] == row["number"]
     assert shown["lap_s"] == pytest.approx(row["clean_laps_s"][track], abs=0.001)
-    # In the races of so many cars alone it may be another lap.
-    assert "/ghosts?" not in client.get("/standings?cars=2").text
+
+
+def test_a_clean_lap_in_races_of_so_many_cars_leads_to_its_race(client, store):
+    document, page = client.get("/api/v1/standings?cars=2").json(), client.get("/standings?cars=2")
+    assert "/ghosts?" not in page.text  # it may not be the driver's fastest one
+    rows = [row for row in document["rows"] if row["clean_laps_s"]]
+    assert [str(row["number"]) for row in rows] == [*document["laps"]] != []
+    for row in rows:
+        lap = document["laps"][str(row["number"])]
+        assert lap["lap_s"] == row["clean_laps_s"]["reinvent_2018"]
+        assert f'<a href="/heats/{lap["heat"]}?race={lap["race"]}">' in page.text
+        race = client.get(f"/api/v1/heats/{lap['heat']}?race={lap['race']}").json()
+        (car,) = (one["number"] for one in race["cars"] if one["entry"] == row["number"])
+        own = next(one for one in race["result"]["order"] if one["car"] == car - 1)
+        assert min(own["lap_times_s"]) == pytest.approx(lap["lap_s"], abs=0.001)
+    assert client.get("/api/v1/standings").json()["laps"] == {}
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/", "/standings", "/standings?cars=2", "/standings?against=3", "/drivers/3", "/matchups/3/1",
+     "/live"],
+)  # fmt: skip
+def test_each_number_leads_to_the_heats_it_comes_from(client, path):
+    assert without_heats(client.get(path).text) == []
+
+
+@pytest.mark.parametrize("path", ["/", "/standings"])
+def test_ratings_intervals_and_trends_lead_to_the_heats_of_the_driver(client, path):
+    page, document = client.get(path).text, client.get("/api/v1/standings").json()
+    assert document["rows"]
+    for row in document["rows"]:
+        link = f'<a href="/heats\\?driver={row["number"]}">'
+        half = f"{(row['high95'] - row['low95']) / 2:.0f}"
+        assert re.search(rf"{link}{row['elo']:.0f} <span[^>]*>±{half}</span></a>", page)
+        trend = document["marks"][str(row["number"])]["trend"]
+        if path != "/" and trend is not None:
+            shown = f"{trend:+.0f}" if round(trend) else "0"
+            assert re.search(rf"{link}\s*<span[^>]*>{re.escape(shown)}</span>", page)
+
+
+def test_figures_of_what_races_now_lead_to_the_lists_on_the_page(client, store, monkeypatch):
+    last_s = max(heat.done_s for heat in store.heats(("done",)))
+    monkeypatch.setattr("league.web.pages.heats.time.time", lambda: last_s + 1.0)
+    page = client.get("/live").text
+    assert '<a href="/definitions#wait">Queue lasts</a>' in page
+    for part in ("racing", "queue", "done"):
+        assert f'<dd><a href="#{part}">' in page and f'id="{part}"' in page
+    done = client.get("/api/v1/heats").json()["count"]
+    assert f'<dd><a href="/heats">{done}</a></dd>' in page
+    assert without_heats(page) == []
 
 
 def test_heats_of_a_driver_show_its_place_in_each_race(client, store):

@@ -16,6 +16,7 @@ from league.matchmaking.store import Store
 from league.web import site
 from league.web.app import make_app
 from league.web.reader import Reader
+from tests.web.numbers import without_heats
 from tests.web.small_league import NAME, ORIGIN, RULES, new_league, seasoned_league
 
 
@@ -78,6 +79,49 @@ def test_numbers_of_a_season_lead_to_its_heats(client, store):
     assert sum(one["count"] for one in whole) == client.get("/api/v1/heats").json()["count"]
     for wrong in ("3", "x", "-1"):
         assert client.get(f"/heats?season={wrong}").status_code == 404
+
+
+@pytest.mark.parametrize("path", ["/seasons/1", "/cups/1", "/standings", "/matchups/2/3"])
+def test_each_number_of_a_season_leads_to_the_heats_it_comes_from(client, path):
+    assert without_heats(client.get(path).text) == []
+
+
+def test_trophies_lead_to_what_they_are_and_to_the_heats_they_were_won_in(client):
+    (spring,) = [one for one in client.get("/api/v1/seasons").json()["seasons"] if one["trophies"]]
+    assert any(one["heat"] for one in spring["trophies"])
+    for one in spring["trophies"]:
+        heats = f"/{one['heat']}" if one["heat"] else f"?driver={one['number']}&amp;season=1"
+        link = f'<a href="/heats{heats}">{one["value"]}</a>'
+        for path in ("/seasons", "/seasons/1", f"/drivers/{one['number']}"):
+            page = client.get(path).text
+            assert link in page and 'href="/definitions#trophies"' in page, path
+
+
+def test_ratings_of_leaders_lead_to_their_heats(client):
+    for path in ("/seasons", "/seasons/2"):
+        page = client.get(path).text
+        for row in client.get(f"/api/v1{path}").json()["leaders"]:
+            for number, about, name in (
+                (round(row["elo"]), "rating", "Elo"),
+                (row["races"], "races", "races"),
+            ):
+                heats = f'<a href="/heats?driver={row["number"]}">{number}</a>'
+                assert f'{heats} <a href="/definitions#{about}">{name}</a>' in page
+
+
+def test_sums_of_places_in_a_cup_lead_to_their_heats_and_their_meaning(client):
+    page, document = client.get("/cups/1").text, client.get("/api/v1/cups/1").json()
+    assert '<a href="/definitions#cup">sums of places</a>' in page
+    heats = [heat for one in document["rounds"] for heat in one["heats"] if heat["number"]]
+    assert heats
+    for heat in heats:
+        for run in heat["runs"]:
+            link = f'<a href="/heats/{heat["number"]}'
+            places = " + ".join(
+                f'{link}?race={race}">{place}</a>' for race, place in enumerate(run["places"], 1)
+            )
+            total = f'{link}">{sum(run["places"])}</a>'
+            assert f'{places}</td><td class="sum">{total}</td>' in page
 
 
 def test_the_running_season_shows_who_leads_and_its_newest_heats(client, store):

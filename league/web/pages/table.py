@@ -12,6 +12,7 @@ from league.matchmaking import divisions, safety, scores, standings
 from league.matchmaking.scope import SEASON_SD
 from league.matchmaking.standings import HeadToHead, Row, Standings
 from league.web import charts
+from league.web.pages.heats import WINDOW_S
 from league.web.pages.laps import MEDALS
 from league.web.reader import Document, NotFoundError, Reader, address, is_number, paging
 from league.web.snapshot import kind_of
@@ -151,14 +152,16 @@ def document(
         shown = [row for row in shown if kind_of(now.by_number[row.number]) == kind]
     if sort not in ORDERS:
         raise NotFoundError(f"Standings are sorted by {', '.join(ORDERS)[2:]}, not {sort[:20]}.")
+    lap_track = track or rules["tracks"][0]
     if sort:
-        shown = sorted(shown, key=partial(ORDERS[sort], track or rules["tracks"][0]))
+        shown = sorted(shown, key=partial(ORDERS[sort], lap_track))
     asked = {"owner": owner, "kind": kind, "track": track, "cars": cars, "against": against}
     asked = {name: text for name, text in asked.items() if text}
     lines, paged = paging(
         len(shown), page, "standings", PATH, {**asked, "sort": sort} if sort else asked
     )
     on_page = shown[lines]
+    laps = _laps(reader, rated, cars, lap_track) if rated and cars else {}
     return {
         "rules": rules,
         "unknown": unknown,
@@ -169,6 +172,7 @@ def document(
         "rows": on_page,
         "season": rated.season if rated else None,
         "marks": marks_of(reader, on_page),
+        "laps": {row.number: laps[row.number] for row in on_page if row.number in laps},
         "entries": len(shown),
         **paged,
         "sort": sort,
@@ -190,6 +194,13 @@ def _rival(rated: Standings, against: str) -> Row | None:
     """Return the line of the driver with this number, or name."""
     number = int(against) if is_number(against) else 0
     return rated.by_number.get(number) or next((r for r in rated.rows if r.name == against), None)
+
+
+def _laps(reader: Reader, rated: Standings, cars: str, track: str) -> dict[int, scores.BestLap]:
+    """Return where clean laps of these races alone were driven on a track, by entry number."""
+    key = ("laps", rated.races.last, rated.races.voided, cars, track, rated.num_races)
+    laps = reader.kept(key, lambda: scores.clean_laps(rated.races, rated.tracks)[track])
+    return {lap.number: lap for lap in laps}
 
 
 def _options(found: Collection[T]) -> Collection[T]:
@@ -223,4 +234,5 @@ def definitions(reader: Reader) -> Document:
         "season_sd": SEASON_SD,
         "trend_heats": scores.TREND_HEATS,
         "medals": MEDALS,
+        "window_s": WINDOW_S,
     }

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from league.matchmaking.divisions import SeasonSettings
 from league.matchmaking.ratings.table import Difference
-from league.matchmaking.scores import HistoryPoint
+from league.matchmaking.scores import BestLap, HistoryPoint
 from league.matchmaking.standings import HeadToHead, Row
 from league.matchmaking.store import EntryState, HeatState, LeagueEntry, Season
 from league.sim.config import RaceKind
@@ -64,6 +64,8 @@ class StandingsAnswer(Page):
     season: Season | None
     marks: dict[int, Marks]
     """By entry number."""
+    laps: dict[int, BestLap]
+    """Where clean laps of races of so many cars were driven, by entry number; only with `cars`."""
     entries: int
     """Lines on all pages."""
     sort: str
@@ -396,6 +398,8 @@ class DefinitionsAnswer(Answer):
     trend_heats: int
     medals: dict[str, float]
     """Largest lap time of each over the fastest possible one's."""
+    window_s: float
+    """Time over which heats per minute are counted [s]."""
 
 
 class WorkerLine(Answer):
