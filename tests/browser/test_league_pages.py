@@ -58,6 +58,18 @@ def test_home_plays_and_pixels_change(browser, origin, complaints):
     assert complaints == []
 
 
+def test_captions_are_announced_unless_a_race_begins_again_and_again(browser, origin, complaints):
+    page = opened(browser, origin, complaints)
+    page.goto("/live")  # where a race plays once
+    caption = page.locator(".caption")
+    expect(caption).to_have_attribute("aria-live", "polite")
+    page.goto("/")
+    expect(caption).to_have_attribute("aria-live", "off")
+    page.get_by_role("button", name="Pause").click()
+    page.get_by_role("button", name="Play").click()
+    expect(caption).to_have_attribute("aria-live", "polite")  # the visitor started it
+
+
 def test_home_stands_still_where_motion_is_not_wanted(browser, origin, complaints):
     page = opened(browser, origin, complaints, reduced_motion="reduce")
     page.goto("/")

@@ -86,7 +86,7 @@ class Player {
       this.key(event),
     );
     const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-    if (!this.seekToHash() && plays && !still) this.toggle();
+    if (!this.seekToHash() && plays && !still) this.toggle("loop" in root.dataset ? "off" : "polite");
   }
 
   get over() {
@@ -336,7 +336,9 @@ class Player {
     if (this.caption.textContent !== text) this.caption.textContent = text;
   }
 
-  toggle() {
+  /** Play or pause; "off" keeps the captions of a race that begins again and again from screen readers. */
+  toggle(live = "polite") {
+    this.caption.setAttribute("aria-live", live);
     this.playing = !this.playing;
     this.button.textContent = this.playing ? "Pause" : "Play";
     if (!this.playing) return this.draw();
@@ -392,6 +394,7 @@ class Player {
   link() {
     history.replaceState(null, "", `#t=${this.time.toFixed(1)}`);
     navigator.clipboard?.writeText(location.href).catch(() => {});
+    this.caption.setAttribute("aria-live", "polite");
     this.caption.textContent = "The address of this page now leads to this moment.";
     this.saidUntil = performance.now() + 1000 * CAPTION_S;
   }
