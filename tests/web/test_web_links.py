@@ -7,7 +7,7 @@ import re
 import pytest
 
 from league.web import reader
-from tests.web.numbers import without_heats
+from tests.web.linked_numbers import without_heats
 from tests.web.small_league import NAME, OWNER, rated_heat
 
 ABOUT = {

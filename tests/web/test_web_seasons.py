@@ -16,7 +16,7 @@ from league.matchmaking.store import Store
 from league.web import site
 from league.web.app import make_app
 from league.web.reader import Reader
-from tests.web.numbers import without_heats
+from tests.web.linked_numbers import without_heats
 from tests.web.small_league import NAME, ORIGIN, RULES, new_league, seasoned_league
 
 
