@@ -58,7 +58,7 @@ torchrl: sync
 
 sync: .venv/.installed
 
-# What the simulator is compiled with comes first: it is compiled on one core while pip works on another.
+# What the simulator is compiled with comes first: it is compiled while pip, which steps back, installs the rest.
 # pip is renewed because that of Python 3.11 takes twice as long. To bytecode is compiled what training
 # imports: pip would compile all of the libraries, one after the other, which takes half a minute.
 PIP := $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt
@@ -69,7 +69,7 @@ PIP := $(BIN)/python -m pip install --quiet --no-compile --constraint constraint
 	$(PIP) --upgrade pip
 	$(PIP) av gymnasium numba opencv-python-headless pybullet pydantic pyyaml scipy
 	$(BIN)/python -m league.precompile & compiling=$$!; \
-		$(PIP) --editable ".[dev]" && $(BIN)/python -c "import league.training.run" && wait $$compiling
+		nice $(PIP) --editable ".[dev]" && $(BIN)/python -c "import league.training.run" && wait $$compiling
 	touch $@
 
 format: sync
