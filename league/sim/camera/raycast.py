@@ -11,7 +11,7 @@ import numpy as np
 from league.jit import inner
 from league.portable_math import clamp, f32, sincos
 from league.sim.camera import tables
-from league.sim.camera.renderer import Renderer
+from league.sim.camera.renderer import Renderer, models
 from league.sim.camera.scene import (
     FLAT_RUBBER,
     MODELS,
@@ -19,9 +19,7 @@ from league.sim.camera.scene import (
     RUBBER,
     SUN,
     WALL_HEIGHT,
-    WHEN_FAR,
     far_from,
-    lit,
     luma,
 )
 from league.sim.camera.scene_state import NEAR, SceneState, mount_of
@@ -101,14 +99,12 @@ class Describer(Renderer):
         lens, gray = self._lens, not self._camera.colour
         solids = [solid for model in MODELS for solid in model.solids]
         first_face = np.cumsum([0, *(len(solid.faces) for solid in solids)])
-        first_solid = np.cumsum([0, *(len(model.solids) for model in MODELS)])
         paints = [
             FLAT_RUBBER if solid.rounded and PAINTS[paint] == RUBBER else paint
             for solid in solids
             for paint in solid.paints
         ]
-        when_far = [MODELS.index(WHEN_FAR.get(model, model)) for model in MODELS]
-        flat_rubber = (luma(RUBBER), 0.0, 0.0) if gray else RUBBER
+        shapes = models(gray)
         sky = (luma(self._sky),) * 3 if gray else self._sky
         floors = [self._floor(track) for track in range(len(self._tracks.tracks))]
         pictures = [texels for floor in floors for texels in floor.texels]
@@ -125,9 +121,9 @@ class Describer(Renderer):
             "lens": (lens.focal, lens.cx, lens.cy, far_from(lens.focal)),
             "eyes": lens.eyes,
             "planes": np.concatenate([solid.planes for solid in solids]),
-            "pivots": [solid.pivot or (0.0, 0.0) for solid in solids],
-            "radii": [np.hypot(model.half_length, model.half_width) for model in MODELS],
-            "colours": [*lit(PAINTS, gray), (*flat_rubber, 0.0, 0.0, 0.0)],
+            "pivots": shapes.pivots,
+            "radii": np.hypot(*shapes.sizes.T),
+            "colours": shapes.paints,
             "corners": [floor.levels[:, 1:] for floor in floors],
             "rooms": self._tracks.rooms,
             "walls": [[*floor.room.colours, sky] for floor in floors],
@@ -137,7 +133,7 @@ class Describer(Renderer):
             **{name: np.ascontiguousarray(part, np.float32) for name, part in parts.items()},
             paints=np.array(paints, np.int32),
             solids=np.stack([first_face[:-1], first_face[1:], steered], axis=1).astype(np.int32),
-            models=np.stack([first_solid[:-1], first_solid[1:], when_far], 1).astype(np.int32),
+            models=shapes.models.astype(np.int32),
             texels=np.concatenate(pictures),
             textures=np.stack([starts, columns, lines], axis=2),
             levels=levels,
