@@ -14,6 +14,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from math import nan
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -30,7 +31,6 @@ from league.matchmaking.pairing import matchmaker
 from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset, mirrored
 from league.matchmaking.store import Store, create
 from league.matchmaking.workers.worker import HeatJob, RaceWorker
-from league.racing import race
 from league.sim.config import SolverName
 
 GOAL_A_DAY, GOAL_A_DAY_PLANAR = 150_000, 500_000
@@ -92,14 +92,6 @@ def shares(store: Store) -> None:
         figure(f"  share of {name}", 100 * spent / whole, "%")
 
 
-class OneByOne(RaceWorker):
-    """A worker that races the halves of a heat one after the other."""
-
-    def _races(self, job: HeatJob) -> list[race.FinishedRace]:
-        races = [self._race_job(job, *one) for one in zip(job.halves, job.seeds, strict=True)]
-        return [race.run_together([one])[0] for one in races]
-
-
 def batching(store: Store, repeats: int = 3) -> None:
     """Print what racing both halves of a heat as one batch brings, side by side."""
     entries, rules = store.entries(), store.settings.ruleset
@@ -108,15 +100,19 @@ def batching(store: Store, repeats: int = 3) -> None:
     )
     field = {entry.id: heat_driver(store, entry) for entry in entries}
     job = HeatJob(heat.key, 1, heat.halves, (5, 6), rules, field)
-    together, alone = RaceWorker(), OneByOne()
-    assert together.race(job).outcome == alone.race(job).outcome  # warmed up, and the same races
-    ratios = []
-    for _ in range(repeats):
+    worker, ratios = RaceWorker(), list[float]()
+    each = zip(job.halves, job.seeds, strict=True)
+    halves = [replace(job, halves=(half,), seeds=(seed,)) for half, seed in each]
+    for repeat in range(repeats + 1):
         start = time.process_time()
-        alone.race(job)
+        alone = [worker.race(one).outcome for one in halves]
         middle = time.process_time()
-        together.race(job)
-        ratios.append((middle - start) / (time.process_time() - middle))
+        together = worker.race(job).outcome
+        end = time.process_time()
+        assert together is not None
+        assert together.races == tuple(one.races[0] for one in alone if one is not None)
+        if repeat:  # the first one warms up
+            ratios.append((middle - start) / (end - middle))
     figure("both halves as one batch instead of in turn", statistics.median(ratios), "x faster")
 
 
