@@ -19,7 +19,7 @@ from league.matchmaking.ratings.table import SIGMAS_95
 from league.matchmaking.scope import RatingScope, scope
 from league.matchmaking.store import RATED, HeatOutcome, HeatRecord, LeagueEntry, Store
 from league.matchmaking.workers import Executor
-from league.matchmaking.workers.worker import HeatDriver, HeatJob, check_physics
+from league.matchmaking.workers.worker import HeatDriver, HeatJob, HeatReport, check_physics
 
 TRIES = 3  # tries of a heat that is not in the store's queue
 NEWCOMER_SD = 200.0
@@ -120,6 +120,8 @@ def race(
         while executor.free and waiting:
             executor.offer(jobs[waiting.popleft()])
         for report in executor.wait(0.5):
+            if not isinstance(report, HeatReport):
+                continue
             place = place_of[report.key]
             if report.outcome is not None:
                 outcomes[place] = report.outcome

@@ -9,17 +9,23 @@ import socket
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from league.errors import LeagueError
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.store import HeatRecord, LeagueEntry
+from league.matchmaking.store import HeatProgress, HeatRecord, LeagueEntry
 from league.matchmaking.store.queue import LEASE_S
-from league.matchmaking.workers import Executor
-from league.matchmaking.workers.worker import HeatDriver, HeatJob, HeatReport, check_physics
+from league.matchmaking.workers import Executor, News
+from league.matchmaking.workers.worker import (
+    SHOWN_EVERY_S,
+    HeatDriver,
+    HeatJob,
+    HeatReport,
+    check_physics,
+)
 
 if TYPE_CHECKING:
     from league.matchmaking.pairing.matchmaker import Matchmaker
@@ -80,6 +86,8 @@ class Dispatcher:
         self._rulesets: dict[str, Ruleset] = {}
         self._driver = lru_cache(KEPT)(lambda id: heat_driver(store, store.entry(id)))
         self._losses: Counter[str] = Counter()
+        self._progress: dict[str, HeatProgress] = {}  # the latest, not yet handed in
+        self._shown_s = float("-inf")  # when progress was handed in last
         self.running: dict[str, RunningHeat] = {}
 
     def step(self, timeout_s: float = 0.5, *, claim: int | None = None) -> list[FinishedHeat]:
@@ -90,7 +98,7 @@ class Dispatcher:
         if self.running and now_s - self._renewed_s > self._lease_s / 6:
             self._store.heartbeat(self.name, lease_s=self._lease_s, keys=list(self.running))
             self._renewed_s = now_s
-        return finished + self._hand_in(self._executor.wait(timeout_s))
+        return finished + self._take_in(self._executor.wait(timeout_s))
 
     def _begin(self, wanted: int) -> list[FinishedHeat]:
         finished = []
@@ -127,6 +135,16 @@ class Dispatcher:
             drivers={id: self._driver(id) for id in heat.entries},
             keep_replays=self._keep_replays,
         )
+
+    def _take_in(self, news: Sequence[News]) -> list[FinishedHeat]:
+        self._progress |= {one.key: one for one in news if isinstance(one, HeatProgress)}
+        finished = self._hand_in([one for one in news if isinstance(one, HeatReport)])
+        shown = [one for key, one in self._progress.items() if key in self.running]
+        now_s = time.monotonic()
+        if shown and now_s - self._shown_s >= SHOWN_EVERY_S:
+            self._store.show(self.name, shown)
+            self._progress, self._shown_s = {}, now_s
+        return finished
 
     def _hand_in(self, reports: list[HeatReport]) -> list[FinishedHeat]:
         for report in reports:

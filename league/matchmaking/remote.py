@@ -11,7 +11,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import quote, urlsplit
@@ -23,7 +23,14 @@ from league.errors import ConfigError, StoreError, brief
 from league.matchmaking import wire
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.store import HeatOutcome, HeatRecord, HeatState, LeagueEntry, Received
+from league.matchmaking.store import (
+    HeatOutcome,
+    HeatProgress,
+    HeatRecord,
+    HeatState,
+    LeagueEntry,
+    Received,
+)
 from league.race_spec import FrozenModel
 from league.sim import PHYSICS
 
@@ -204,6 +211,14 @@ class RemoteQueue:
         asked = wire.Renewal(worker=worker, lease_s=lease_s, keys=tuple(keys))
         return list(self._ask("heartbeat", asked, wire.Held).keys)
 
+    def show(self, worker: str, under_way: Sequence[HeatProgress]) -> None:
+        """Send how far heats have come; a server that is busy or away does not get it."""
+        heats = tuple(map(wire.sent_progress, under_way))
+        with suppress(StoreError):
+            self._ask(
+                "progress", wire.Showing(worker=worker, heats=heats), wire.Held, patient=False
+            )
+
     def complete(self, worker: str, outcomes: Sequence[HeatOutcome]) -> Received:
         """Hand in results, one heat at a time."""
         received = Received()
@@ -225,9 +240,12 @@ class RemoteQueue:
         """Return an entry of a heat that was lent, by its id."""
         return wire.entry_of(text, self._entries[text])
 
-    def _ask(self, what: str, asked: FrozenModel, answer: type[_Answer]) -> _Answer:
+    def _ask(
+        self, what: str, asked: FrozenModel, answer: type[_Answer], *, patient: bool = True
+    ) -> _Answer:
         body = asked.model_dump_json().encode()
-        content = self._client.fetch(f"{WORK}/{what}", body, "application/json")
+        client = self._client if patient else replace(self._client, patience_s=0.0)
+        content = client.fetch(f"{WORK}/{what}", body, "application/json")
         try:
             return TypeAdapter(answer).validate_json(content)
         except ValidationError as error:

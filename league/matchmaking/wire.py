@@ -6,16 +6,26 @@ import base64
 import binascii
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 from pydantic import AfterValidator, Field, model_validator
 
 from league.errors import LeagueError, StoreError
 from league.matchmaking.pairing.heat_spec import Half, Heat, Purpose, Ruleset, canonical
-from league.matchmaking.store import HeatOutcome, HeatRecord, HeatState, LeagueEntry, RaceOutcome
+from league.matchmaking.store import (
+    HeatOutcome,
+    HeatProgress,
+    HeatRecord,
+    HeatState,
+    LeagueEntry,
+    RaceOutcome,
+)
 from league.matchmaking.workers.worker import race_outcome
 from league.race_spec import CarResult, FrozenModel, printable
 from league.sim.config import MAX_CARS
+
+if TYPE_CHECKING:
+    from league.replay import Replay
 
 MOST_HEATS = 64  # heats of one message
 MOST_REPLAY = 4 << 20  # bytes of a recording that a worker may send, as Base64
@@ -23,6 +33,7 @@ Key = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]  # SHA-256
 WorkerName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.\-]{1,80}$")]
 """Unique among the workers of a token."""
 LeaseS = Annotated[float, Field(ge=1, le=600)]
+Recording = Annotated[str, Field(max_length=MOST_REPLAY)]  # Base64
 
 
 class Claim(FrozenModel):
@@ -107,8 +118,7 @@ class SentRace(FrozenModel):
     ]
     """Place of the car in each grid slot."""
     result: dict[str, Any]  # the classification, as `league heat --json` prints it
-    replay: Annotated[str, Field(max_length=MOST_REPLAY)] = ""
-    """The recording in Base64; empty if none is kept."""
+    replay: Recording = ""  # empty if none is kept
 
     @model_validator(mode="after")
     def _is_a_result(self) -> SentRace:
@@ -133,6 +143,21 @@ class Sent(FrozenModel):
 
     worker: WorkerName
     heats: Annotated[tuple[SentHeat, ...], Field(max_length=MOST_HEATS)]
+
+
+class SentProgress(FrozenModel):
+    """How far a heat has come."""
+
+    key: Key
+    replays: Annotated[tuple[Recording, ...], Field(min_length=1, max_length=16)]
+    """The recording of each race so far."""
+
+
+class Showing(FrozenModel):
+    """How far heats have come, for people who follow them."""
+
+    worker: WorkerName
+    heats: Annotated[tuple[SentProgress, ...], Field(max_length=MOST_HEATS)]
 
 
 class Failure(FrozenModel):
@@ -208,7 +233,7 @@ def sent_heat(outcome: HeatOutcome) -> SentHeat:
         SentRace(
             places=one.places,
             result=dict(one.result),
-            replay=base64.b64encode(one.replay or b"").decode("ascii"),
+            replay=_encoded(one.replay or b""),
         )
         for one in outcome.races
     )
@@ -228,15 +253,32 @@ def outcome_of(sent: SentHeat, record: HeatRecord, names: Mapping[str, str]) -> 
     for race, half, seed in zip(sent.races, halves, seeds, strict=True):
         if not len(race.places) == len(race.result["order"]) == len(half.grid):
             raise StoreError(f"a race of heat {record.number} has {len(half.grid)} cars: send all")
-        try:
-            replay = base64.b64decode(race.replay, validate=True) or None
-        except (binascii.Error, ValueError) as error:
-            raise StoreError("a recording is no Base64: send it as the worker made it") from error
-        outcome = RaceOutcome(race.places, race.result, replay)
+        outcome = RaceOutcome(race.places, race.result, _decoded(race.replay) or None)
         if outcome.replay is not None:
             _check_recording(outcome, half, seed, [names[id] for id in half.grid], record.number)
         races.append(outcome)
     return HeatOutcome(sent.key, tuple(races), sent.machine)
+
+
+def sent_progress(one: HeatProgress) -> SentProgress:
+    """Return how far a heat has come as it is sent."""
+    return SentProgress(key=one.key, replays=tuple(map(_encoded, one.replays)))
+
+
+def progress_of(sent: SentProgress) -> HeatProgress:
+    """Return how far a heat has come, as it came over the wire; a StoreError for no Base64."""
+    return HeatProgress(sent.key, tuple(map(_decoded, sent.replays)))
+
+
+def _encoded(replay: bytes) -> str:
+    return base64.b64encode(replay).decode("ascii")
+
+
+def _decoded(replay: str) -> bytes:
+    try:
+        return base64.b64decode(replay, validate=True)
+    except (binascii.Error, ValueError) as error:
+        raise StoreError("a recording is no Base64: send it as the worker made it") from error
 
 
 def _check_recording(
@@ -248,8 +290,14 @@ def _check_recording(
         replay = replay_format.decode(outcome.replay or b"")
     except LeagueError as error:
         raise StoreError(f"a recording of heat {number} {error}") from error
-    spec = replay.result.spec
-    if (spec.track, spec.seed, [one.name for one in spec.entries]) != (half.track, seed, names):
+    if not is_of(replay, half, seed, names):
         raise StoreError(f"a recording of heat {number} is of another race: send its own")
     if race_outcome(replay, outcome.replay) != outcome:
         raise StoreError(f"a result of heat {number} does not follow from its recording: send both")
+
+
+def is_of(replay: Replay, half: Half, seed: int, names: Sequence[str]) -> bool:
+    """Return whether a recording is of a race, with these names of its entries."""
+    spec = replay.result.spec
+    recorded = spec.track, spec.seed, [entry.name for entry in spec.entries]
+    return recorded == (half.track, seed, list(names))

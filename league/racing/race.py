@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -129,7 +129,12 @@ def run_together(jobs: Sequence[RaceJob], *, patience_s: float = math.inf) -> li
     Raises:
         LeagueError: as `run`; or the races are not alike.
     """
-    return _Batch(jobs, patience_s).run() if jobs else []
+    if not jobs:
+        return []
+    batch = Batch(jobs, patience_s=patience_s)
+    for _ in batch.steps():
+        pass
+    return batch.finished()
 
 
 def _drivers(job: RaceJob, course: Track, car: CarConfig) -> Sequence[Driver]:
@@ -142,10 +147,11 @@ def _drivers(job: RaceJob, course: Track, car: CarConfig) -> Sequence[Driver]:
     return drivers
 
 
-class _Batch:
+class Batch:
     """Races under way, a world each. A race that is over stands still until all are."""
 
-    def __init__(self, jobs: Sequence[RaceJob], patience_s: float) -> None:
+    def __init__(self, jobs: Sequence[RaceJob], *, patience_s: float = math.inf) -> None:
+        """Put the cars of at least one race on their grids; see `run_together`."""
         from league.track import files
 
         first = jobs[0].spec
@@ -172,7 +178,8 @@ class _Batch:
         ]
         self._at_wall = np.zeros(self._env.world.cars.shape, np.bool_)
 
-    def run(self) -> list[FinishedRace]:
+    def steps(self) -> Iterator[None]:
+        """Drive the races to their ends; yield after each control step."""
         env, races = self._env, self._races
         try:
             rollout = Rollout(env, self._pool, [race.spec.seed for race in races], self._on_faults)
@@ -180,9 +187,17 @@ class _Batch:
                 race.begin(env.world.row(index))
             while not all(race.result for race in races):
                 self._follow(rollout.step([race.readings for race in races]))
+                yield
         finally:
             env.close()
-        return [race.finished() for race in races]
+
+    def so_far(self) -> list[Replay]:
+        """Return the recordings up to now; the cars are classified as if the race ended here."""
+        return [race.so_far(self._env.world.row(at)) for at, race in enumerate(self._races)]
+
+    def finished(self) -> list[FinishedRace]:
+        """Return what the races leave, all of which are over."""
+        return [race.finished() for race in self._races]
 
     def _on_faults(self, faults: np.ndarray) -> None:
         """Count each driver's faults, and retire it after too many in a row."""
@@ -255,6 +270,11 @@ class _RunningRace:
         if over:
             self.result = classify(self.spec, world, self._log)
         self._observe(world)
+
+    def so_far(self, world: World) -> Replay:
+        """Return the recording up to now, when the race is `world`."""
+        assert self._recorder is not None
+        return self._recorder.finish(self.result or classify(self.spec, world, self._log))
 
     def finished(self) -> FinishedRace:
         assert self.result is not None

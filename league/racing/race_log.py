@@ -88,7 +88,7 @@ class RaceLog:
 
 
 def classify(spec: RaceSpec, world: World, log: RaceLog) -> RaceResult:
-    """Return the classification of a race that is over."""
+    """Return the classification of a race that is over, or as if it were."""
     race_s = log.steps * log.step_dt
     unplaced = []
     for car, (entry, now) in enumerate(zip(spec.entries, world.cars[0], strict=True)):

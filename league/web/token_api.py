@@ -146,6 +146,14 @@ def _renew(asked: Asked) -> wire.Held:
     return wire.Held(keys=tuple(keys))
 
 
+def _show(asked: Asked) -> wire.Held:
+    """Keep what is sent as it is: it is checked when somebody follows the race."""
+    sent: wire.Showing = asked.body
+    worker = worker_of(asked.token, sent.worker)
+    asked.store.show(worker, [wire.progress_of(one) for one in sent.heats])
+    return wire.Held(keys=tuple(one.key for one in sent.heats))
+
+
 def _complete(asked: Asked) -> Received:
     """Take in results of heats that this worker was lent last; others count as repeated."""
     sent: wire.Sent = asked.body
@@ -213,6 +221,10 @@ ADDRESSES = (
     Protected(
         f"{WORK}/heartbeat", "Renew the leases of heats", "worker", _renew, wire.Held,
         body=wire.Renewal,
+    ),
+    Protected(
+        f"{WORK}/progress", "Show how far heats have come", "worker", _show, wire.Held,
+        body=wire.Showing, most_bytes=MOST_RESULTS,
     ),
     Protected(
         f"{WORK}/complete", "Hand in results of heats; sending them again changes nothing",

@@ -16,6 +16,7 @@ from league.matchmaking.store.database import Database
 TRACKS = ("ring", "square")
 RULES = Ruleset(tracks=TRACKS, laps=2)
 WITHOUT_SEASONS = (
+    "DROP TABLE progress",
     "DROP TABLE tokens",
     "DROP TABLE divisions",
     "DROP TABLE cups",

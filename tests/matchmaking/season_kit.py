@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 from league.matchmaking import loop, submission
 from league.matchmaking.loop import Dispatcher
 from league.matchmaking.pairing import matchmaker
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.store import Store, create
+from league.matchmaking.store import HeatRecord, Store, create
+from league.matchmaking.workers import News
 from league.matchmaking.workers.worker import HeatJob, HeatReport, RaceWorker
 from tests.agents.trained import make_checkpoint
+
+if TYPE_CHECKING:
+    from league.matchmaking.loop import HeatSource
 
 SHORT = Ruleset(solver="planar", laps=1, max_time_s=0.6)
 """Nine steps: enough for scripted drivers to be told apart by distance."""
@@ -59,3 +64,9 @@ def raced(store: Store, heats: int, *, same_owner: bool = False) -> None:
     """Let so many heats be raced here."""
     planner = matchmaker.Matchmaker(store, same_owner=same_owner)
     loop.run(store, Dispatcher(store, Here()), planner, heats=heats)
+
+
+def followed(store: HeatSource, claim: HeatRecord) -> list[News]:
+    """Race a heat that was claimed here; return what its worker sends, after each step."""
+    with patch("league.matchmaking.workers.worker.SHOWN_EVERY_S", 0.0):
+        return list(RaceWorker().follow(Dispatcher(store, Here())._job(claim)))

@@ -16,8 +16,10 @@ from league.errors import ConfigError
 from league.matchmaking import workers
 from league.matchmaking.loop import heat_driver
 from league.matchmaking.pairing import heat_spec
+from league.matchmaking.store import HeatProgress
 from league.matchmaking.workers import ProcessExecutor
 from league.matchmaking.workers.worker import HeatJob, HeatReport, RaceWorker
+from league.replay import format as replay_format
 from tests.matchmaking.season_kit import SHORT, new_league, submitted
 
 ENDLESS = replace(SHORT, laps=1000, max_time_s=36_000.0)
@@ -41,7 +43,7 @@ def reports(executor: workers.Executor, count: int, patience_s: float = 900.0) -
     found: list[HeatReport] = []
     give_up = time.monotonic() + patience_s
     while len(found) < count and time.monotonic() < give_up:
-        found += executor.wait(0.2)
+        found += [one for one in executor.wait(0.2) if isinstance(one, HeatReport)]
     return found
 
 
@@ -69,6 +71,22 @@ def check_killed_worker(executor, job: HeatJob, pid: int) -> None:
     executor.offer(replace(job, key="again"))
     both = {report.key: report.outcome for report in reports(executor, 2)}
     assert both[job.key] == alone and both["again"] is not None
+
+
+def test_a_worker_sends_how_far_its_heat_has_come(job):
+    sent: list[workers.News] = []
+    with closing(ProcessExecutor(1)) as executor:
+        executor.offer(replace(job, ruleset=ENDLESS))
+        while len(sent) < 2:
+            sent += executor.wait(60.0)
+            assert executor.free == 0
+    frames = [
+        [replay_format.decode(content).num_frames for content in one.replays]
+        for one in sent
+        if isinstance(one, HeatProgress)
+    ]
+    assert len(frames) == len(sent)
+    assert all(1 < first < second for first, second in zip(*frames[:2], strict=True))
 
 
 def test_a_killed_process_is_reported_and_replaced(job):

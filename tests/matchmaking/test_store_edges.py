@@ -14,7 +14,8 @@ from league.matchmaking import store
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Half, Heat
 from league.matchmaking.store import names, queue, race_table, records, schema
-from league.matchmaking.store.records import Races, Season
+from league.matchmaking.store.database import Database
+from league.matchmaking.store.records import HeatProgress, Races, Season
 from tests.matchmaking import leagues
 
 # Tables: SQLite would take anything
@@ -73,6 +74,32 @@ def test_a_lease_of_a_minute_ends_after_its_last_moment(league, clock):
     clock.now_s += 60.001
     assert league.heartbeat("w") == []
     assert [one.number for one in league.claim("eager")] == [mine.number]
+
+
+def test_how_far_a_heat_has_come_is_kept_while_its_worker_holds_it(league, clock):
+    league.plan(leagues.duels(league, 2))
+    mine, other = league.claim("w", 2)
+    revision = league.revision
+    league.show("w", [HeatProgress(mine.heat.key, (b"first", b"second"))])
+    league.show("w", [HeatProgress(other.heat.key, (b"other",))])
+    assert [league.shown(mine.number, half) for half in range(3)] == [b"first", b"second", None]
+    league.show("w", [HeatProgress(mine.heat.key, (b"more", b"of it"))])
+    league.show("thief", [HeatProgress(mine.heat.key, (b"false", b"false"))])
+    league.show("w", [HeatProgress("0" * 64, (b"of no heat",))])
+    assert [league.shown(mine.number, half) for half in (0, 1)] == [b"more", b"of it"]
+    assert league.revision == revision  # pages are not made again for it
+    league.fail("w", mine.heat.key, "", lost=True)
+    assert league.shown(mine.number, 0) is None and league.shown(other.number, 0) == b"other"
+    (again,) = league.claim("w")
+    league.show("w", [HeatProgress(other.heat.key, (b"still",))])
+    assert again.number == mine.number and league.shown(again.number, 0) == b"more"
+    league.complete("w", leagues.raced([again]))
+    league.show("w", [HeatProgress(other.heat.key, (b"still",))])
+    database = Database(league.url)
+    with database.reading() as connection:
+        rows = connection.execute(sa.select(schema.progress.c.heat)).scalars().all()
+    database.close()
+    assert rows == [other.number]
 
 
 def test_one_heat_is_lent_unless_more_are_asked_for(league):

@@ -13,6 +13,7 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import psycopg
 import pytest
 
@@ -20,7 +21,7 @@ from league.errors import StoreError
 from league.matchmaking.loop import MOST_LOSSES, Dispatcher, FinishedHeat, heat_driver
 from league.matchmaking.pairing import heat_spec, matchmaker
 from league.matchmaking.pairing.heat_spec import Half
-from league.matchmaking.store import Store, create
+from league.matchmaking.store import HeatProgress, Store, create
 from league.matchmaking.workers.worker import (
     HeatJob,
     HeatReport,
@@ -46,6 +47,23 @@ def job(store: Store, one: str, other: str, **settings) -> HeatJob:
     heat = heat_spec.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(e.id for e in entries))
     field = {entry.id: heat_driver(store, entry) for entry in entries}
     return HeatJob(heat.key, 1, heat.halves, (3, 4), SHORT, field, **settings)
+
+
+def test_a_heat_that_is_followed_sends_its_recordings_so_far_and_ends_the_same(league, monkeypatch):
+    given = job(league, "centerline", "bob")
+    (alone,) = RaceWorker().follow(given)  # it takes less than a second
+    monkeypatch.setattr("league.matchmaking.workers.worker.SHOWN_EVERY_S", 0.0)
+    *sent, report = RaceWorker().follow(given)
+    assert isinstance(report, HeatReport) and isinstance(alone, HeatReport)
+    assert report.outcome is not None and report.outcome == alone.outcome
+    assert len(sent) == 9
+    for steps, one in enumerate(sent, 1):
+        assert isinstance(one, HeatProgress) and one.key == given.key
+        for race, content in zip(report.outcome.races, one.replays, strict=True):
+            so_far, whole = replay_format.decode(content), replay_format.decode(race.replay)
+            assert so_far.num_frames == steps + 1 == so_far.result.steps + 1
+            assert np.array_equal(so_far.columns.checksum, whole.columns.checksum[: steps + 1])
+            assert so_far.spec == whole.spec
 
 
 def test_a_job_gives_the_same_outcome_in_a_fresh_pit_and_in_a_used_one(league):

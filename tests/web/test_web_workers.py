@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, replace
+from urllib.error import HTTPError
+from urllib.request import urlopen
 
 import pytest
 from starlette.testclient import TestClient
@@ -14,12 +16,12 @@ from league.matchmaking import loop, standings, wire
 from league.matchmaking.loop import Dispatcher
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.remote import Client, RemoteQueue
-from league.matchmaking.store import Store
+from league.matchmaking.store import HeatProgress, Store
 from league.matchmaking.workers.worker import RaceWorker
 from league.sim import PHYSICS
 from league.web.app import make_app
 from league.web.security import Access
-from tests.matchmaking.season_kit import SHORT, Here
+from tests.matchmaking.season_kit import SHORT, Here, followed
 from tests.web.serving import FREE, serving
 from tests.web.small_league import ORIGIN, queued_league
 
@@ -93,6 +95,30 @@ def test_only_weights_of_heats_that_a_token_holds_are_given_out(store, tmp_path)
         with pytest.raises(StoreError, match="No heat that this token holds"):
             other.blobs.get(digest)
         assert remote.blobs.get(digest)
+
+
+def test_heats_of_remote_workers_can_be_followed(store, tmp_path):
+    with serving(store) as url:
+        remote = queue_for(store, url, tmp_path / "weights")
+        (claim,) = remote.claim("w", 1, lease_s=60.0)
+        *sent, _ = followed(remote, claim)
+        remote.show("w", sent[-1:])
+        own = [store.shown(claim.number, half) for half in (0, 1)]
+        assert tuple(own) == sent[-1].replays and own[0] != own[1]
+        queue_for(store, url, tmp_path, "thief").show("w", sent[:1])
+        assert [store.shown(claim.number, half) for half in (0, 1)] == own
+        player, page = (f"{at}/heats/{claim.number}" for at in (f"{url}/api/v1", url))
+        with urlopen(f"{player}/races/1/replay") as answer:
+            assert json.load(answer)["over"] is False
+        # What is no recording of this race is not shown.
+        for false in ((b"x", b"y"), own[::-1]):
+            remote.show("w", [HeatProgress(claim.heat.key, tuple(false))])
+            assert store.shown(claim.number, 0) == false[0]
+            with pytest.raises(HTTPError, match="404"):
+                urlopen(f"{player}/races/1/replay?{len(false[0])}")
+            with urlopen(f"{page}?{len(false[0])}") as answer:
+                assert b"data-replay" not in answer.read()
+    remote.show("w", sent[-1:])  # the server is away: nobody can follow, and the race goes on
 
 
 def test_an_owner_is_not_lent_heats_of_own_entries(store, tmp_path):

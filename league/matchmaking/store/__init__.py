@@ -13,6 +13,7 @@ from league.matchmaking.store.records import (
     Drives,
     EntryState,
     HeatOutcome,
+    HeatProgress,
     HeatRecord,
     HeatState,
     LeagueEntry,
@@ -30,7 +31,7 @@ from league.matchmaking.store.store import SeasonView, Store, create
 
 __all__ = [
     "BEST_MS", "CLEAN", "FINISHED", "KNOWN", "RATED", "SCOPES", "Cup", "DoneHeat", "Drives",
-    "EntryState", "HeatOutcome", "HeatRecord", "HeatState", "LeagueEntry", "Move", "Quota",
-    "RaceOutcome", "Races", "Received", "Scope", "Season", "SeasonView", "Store",
-    "StoredResult", "Token", "create", "upgrade",
+    "EntryState", "HeatOutcome", "HeatProgress", "HeatRecord", "HeatState", "LeagueEntry",
+    "Move", "Quota", "RaceOutcome", "Races", "Received", "Scope", "Season", "SeasonView",
+    "Store", "StoredResult", "Token", "create", "upgrade",
 ]  # fmt: skip

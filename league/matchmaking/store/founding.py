@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 
-SCHEMA = "0006"  # version of the tables in schema.py: the newest revision in migrations/versions
+SCHEMA = "0007"  # version of the tables in schema.py: the newest revision in migrations/versions
 
 
 def create_tables(database: Database, name: str, ruleset: Ruleset, blobs: str) -> None:

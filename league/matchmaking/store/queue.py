@@ -14,8 +14,15 @@ from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Half, Heat, Purpose
 from league.matchmaking.store import schema
 from league.matchmaking.store.database import chunked
-from league.matchmaking.store.records import HeatRecord, HeatState
-from league.matchmaking.store.schema import Change, entries, heat_entries, heats, rulesets
+from league.matchmaking.store.records import HeatProgress, HeatRecord, HeatState
+from league.matchmaking.store.schema import (
+    Change,
+    entries,
+    heat_entries,
+    heats,
+    progress,
+    rulesets,
+)
 
 LEASE_S = 60.0  # lease of a heat [s]; dispatchers renew it every 10 s
 BATCH = 1000  # heats planned or completed per transaction
@@ -109,6 +116,33 @@ class QueueStore(schema.Transactional):
                 own = heats.c.number.in_([row.number for row in rows])
                 change.update(heats, own, lease_s=change.now + lease_s)
             return [row.key for row in rows]
+
+    def show(self, worker: str, under_way: Sequence[HeatProgress]) -> None:
+        """Keep how far heats have come that a worker holds, for people who follow them."""
+        check_worker(worker)
+        replays_of = {one.key: one.replays for one in under_way}
+        claimed = sa.select(heats.c.number, heats.c.key).where(heats.c.state == "claimed")
+        own = claimed.where(heats.c.worker == worker, heats.c.key.in_(list(replays_of)))
+        with self._writing(lock=True) as change:
+            rows = change.connection.execute(own).all()
+            over = progress.c.heat.not_in(claimed.with_only_columns(heats.c.number))
+            change.delete(progress, over | progress.c.heat.in_([row.number for row in rows]))
+            new = [
+                {"heat": row.number, "half": half, "replay": replay}
+                for row in rows
+                for half, replay in enumerate(replays_of[row.key])
+            ]
+            change.insert(progress, *new)
+
+    def shown(self, heat: int, half: int) -> bytes | None:
+        """Return the recording so far of a race, by numbers, if its heat is being raced."""
+        query = (
+            sa.select(progress.c.replay)
+            .join(heats, heats.c.number == progress.c.heat)
+            .where(heats.c.state == "claimed", progress.c.heat == heat, progress.c.half == half)
+        )
+        with self._database.reading() as connection:
+            return connection.scalar(query)
 
     def seeds(self, heat: Heat) -> tuple[int, ...]:
         """Return the seed of each race of a heat; a secret until it is over."""

@@ -197,6 +197,14 @@ class HeatOutcome:
 
 
 @dataclass(frozen=True)
+class HeatProgress:
+    """How far a heat has come that is being raced."""
+
+    key: str
+    replays: tuple[bytes, ...]  # the recording of each race so far, in the heat's order
+
+
+@dataclass(frozen=True)
 class Received:
     """What the store did with the results of heats: keys of heats."""
 

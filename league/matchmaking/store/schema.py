@@ -138,6 +138,15 @@ heats = sa.Table(
 )
 """The queue. The last lease began at `claimed_s`; it ends at `lease_s`, NULL unless claimed."""
 
+progress = sa.Table(
+    "progress",
+    metadata,
+    sa.Column("heat", Number, sa.ForeignKey("heats.number"), primary_key=True),
+    sa.Column("half", sa.SmallInteger, primary_key=True),
+    sa.Column("replay", sa.LargeBinary, nullable=False),
+)
+"""The recording so far of each race that is being raced; what is here of other heats is old."""
+
 heat_entries = sa.Table(
     "heat_entries",
     metadata,
@@ -294,6 +303,10 @@ class Change:
         dialect = sqlite if self.connection.dialect.name == "sqlite" else postgresql
         if rows:
             self.connection.execute(dialect.insert(table).on_conflict_do_nothing(), rows)
+
+    def delete(self, table: sa.Table, match: sa.ColumnElement[bool]) -> None:
+        """Remove those rows of a table that match."""
+        self.connection.execute(table.delete().where(match))
 
     def update(self, table: sa.Table, match: sa.ColumnElement[bool], **values: object) -> int:
         """Change those rows of a table that match; return how many."""

@@ -19,10 +19,12 @@ from typing import Any, Generic, Literal, TypeVar
 
 from league import subprocesses
 from league.errors import ConfigError
+from league.matchmaking.store.records import HeatProgress
 from league.matchmaking.workers.worker import JOB_LIMIT_S, HeatJob, HeatReport, RaceWorker
 
 WORKERS_PER_CORE = 4  # processes of one machine at most, for each of its cores
 MOST_ACTORS = 4096  # actors of a cluster at most
+News = HeatProgress | HeatReport  # what a worker sends of its job: the report last
 MODULES = (
     "league.agents.policy",
     "league.agents.roster",
@@ -68,16 +70,16 @@ class SlotExecutor(Generic[AnySlot]):
         slot.job, slot.since_s = job, time.monotonic()
         self._begin(slot)
 
-    def wait(self, timeout_s: float) -> list[HeatReport]:
-        """Return reports of jobs that ended, or a ConfigError if no worker can be started."""
+    def wait(self, timeout_s: float) -> list[News]:
+        """Return what workers sent; a ConfigError if none can be started."""
         busy = [slot for slot in self._slots if slot.job]
         if not busy:
             time.sleep(timeout_s)
             return []
-        reports = self._ended(busy, timeout_s)
+        news = self._received(busy, timeout_s)
         now_s = time.monotonic()
         stuck = [slot for slot in busy if slot.job and now_s - slot.since_s > self._limit_s]
-        return reports + [
+        return news + [
             self._lost(slot, f"took longer than {self._limit_s:.0f} s") for slot in stuck
         ]
 
@@ -98,8 +100,8 @@ class SlotExecutor(Generic[AnySlot]):
         """Send its job to a worker."""
         raise NotImplementedError
 
-    def _ended(self, busy: Sequence[AnySlot], timeout_s: float) -> list[HeatReport]:
-        """Wait for reports of busy workers, and return them."""
+    def _received(self, busy: Sequence[AnySlot], timeout_s: float) -> list[News]:
+        """Wait for what busy workers send, and return it."""
         raise NotImplementedError
 
     def _replace(self, slot: AnySlot) -> None:
@@ -143,16 +145,16 @@ class ProcessExecutor(SlotExecutor[_Process]):
         except OSError:  # it died while it was idle
             self._replace(slot)
 
-    def _ended(self, busy: Sequence[_Process], timeout_s: float) -> list[HeatReport]:
+    def _received(self, busy: Sequence[_Process], timeout_s: float) -> list[News]:
         slot_of = {slot.pipe: slot for slot in busy}
         pipes = connection.wait(list(slot_of), timeout_s)
-        reports = [self._read(slot_of[pipe]) for pipe in pipes if isinstance(pipe, Connection)]
-        return [report for report in reports if report is not None]
+        news = [self._read(slot_of[pipe]) for pipe in pipes if isinstance(pipe, Connection)]
+        return [one for one in news if one is not None]
 
-    def _read(self, slot: _Process) -> HeatReport | None:
-        """Return the report on a worker's job; None if the worker has only just started."""
+    def _read(self, slot: _Process) -> News | None:
+        """Return what a worker sent of its job; None if the worker has only just started."""
         try:
-            report: HeatReport | None = slot.pipe.recv()
+            news: News | None = slot.pipe.recv()
         except (EOFError, OSError):
             slot.process.join(5.0)
             if slot.ready:
@@ -168,12 +170,12 @@ class ProcessExecutor(SlotExecutor[_Process]):
                 ) from None
             self._replace(slot)
             return None
-        if report is None:
+        if news is None:
             slot.ready, slot.failed_starts = True, 0
             self._begin(slot)
-        else:
+        elif isinstance(news, HeatReport):
             slot.job = None
-        return report
+        return news
 
     def _replace(self, slot: _Process) -> None:
         slot.pipe.close()
@@ -201,9 +203,9 @@ def _work(pipe: Connection) -> None:
             job = pipe.recv()
         except (EOFError, OSError):
             return
-        report = worker.race(job)
         try:
-            pipe.send(report)
+            for news in worker.follow(job):
+                pipe.send(news)
         except OSError:
             return
 
@@ -246,20 +248,21 @@ class RayExecutor(SlotExecutor[_Actor]):
             self._ray.shutdown()
 
     def _begin(self, slot: _Actor) -> None:
-        slot.answer = slot.actor.race.remote(slot.job)
+        slot.answer = slot.actor.follow.options(num_returns="streaming").remote(slot.job)
 
-    def _ended(self, busy: Sequence[_Actor], timeout_s: float) -> list[HeatReport]:
+    def _received(self, busy: Sequence[_Actor], timeout_s: float) -> list[News]:
         ready, _ = self._ray.wait([slot.answer for slot in busy], num_returns=1, timeout=timeout_s)
         return [self._read(slot) for slot in busy if slot.answer in ready]
 
-    def _read(self, slot: _Actor) -> HeatReport:
+    def _read(self, slot: _Actor) -> News:
         try:
-            report: HeatReport = self._ray.get(slot.answer)
+            news: News = self._ray.get(next(slot.answer))
         except self._ray.exceptions.RayError as lost:
             first = (str(lost).strip().splitlines() or [type(lost).__name__])[0]
             return self._lost(slot, f"was lost ({first[:200]})", killed=True)
-        slot.job = slot.answer = None
-        return report
+        if isinstance(news, HeatReport):
+            slot.job = slot.answer = None
+        return news
 
     def _replace(self, slot: _Actor) -> None:
         self._ray.kill(slot.actor)

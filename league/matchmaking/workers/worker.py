@@ -6,7 +6,8 @@ import math
 import platform
 import struct
 import traceback
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from importlib import metadata
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from league.errors import ConfigError
 from league.matchmaking.pairing.heat_spec import Half, Ruleset, digest
-from league.matchmaking.store.records import HeatOutcome, RaceOutcome
+from league.matchmaking.store.records import HeatOutcome, HeatProgress, RaceOutcome
 from league.sim import PHYSICS
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ TOO_LATE_S = 2.0
 """Processor time after which an answer is too late [s]: eighty times what a submission may take, so
 that whether an honest driver is late never depends on the machine."""
 JOB_LIMIT_S = 1800.0  # a heat that takes longer than this is stuck: its worker is ended [s]
+SHOWN_EVERY_S = 1.0  # a worker sends so often how far its heat has come [s]
 SPEC_FIELDS = (
     "kind", "laps", "solver", "max_time_s", "rules", "obstacles", "obstacle_kind", "variation",
     "format",
@@ -99,25 +101,37 @@ class RaceWorker:
 
     def race(self, job: HeatJob) -> HeatReport:
         """Race a heat; whatever fails is in the report, never raised."""
-        from league.racing import race
+        report = deque(self.follow(job), maxlen=1).pop()
+        assert isinstance(report, HeatReport)
+        return report
+
+    def follow(self, job: HeatJob) -> Iterator[HeatProgress | HeatReport]:
+        """Race a heat; yield how far it has come now and then, and last the report; see `race`."""
+        from league.racing.race import Batch
         from league.replay import format as replay_format
 
         start, outcomes = perf_counter(), list[RaceOutcome]()
         try:
             jobs = [self._race_job(job, *one) for one in zip(job.halves, job.seeds, strict=True)]
             # All as one batch: each goes as it would alone.
-            races = race.run_together(jobs, patience_s=TOO_LATE_S)
+            batch, shown = Batch(jobs, patience_s=TOO_LATE_S), start
+            for _ in batch.steps():
+                if perf_counter() - shown > SHOWN_EVERY_S:
+                    yield HeatProgress(job.key, tuple(map(replay_format.encode, batch.so_far())))
+                    shown = perf_counter()
+            races = batch.finished()
             for one in races:
                 assert one.replay is not None
                 recording = replay_format.encode(one.replay) if job.keep_replays else None
                 outcomes.append(race_outcome(one.replay, recording))
         except Exception:
             # The season goes on without this heat; its traceback is kept.
-            return HeatReport(job.key, None, traceback.format_exc(), perf_counter() - start)
+            yield HeatReport(job.key, None, traceback.format_exc(), perf_counter() - start)
+            return
         race_s = sum(one.result.race_s for one in races)
         machine = machine_class() if job.ruleset.solver == "bullet" else ""
         outcome = HeatOutcome(job.key, tuple(outcomes), machine)
-        return HeatReport(job.key, outcome, "", perf_counter() - start, race_s)
+        yield HeatReport(job.key, outcome, "", perf_counter() - start, race_s)
 
     def _race_job(self, job: HeatJob, half: Half, seed: int) -> RaceJob:
         from league.race_spec import checked
