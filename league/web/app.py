@@ -90,7 +90,8 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
                 with store.at_once():
                     document = one.read(reader, request)
                 response = shown(request, document)
-            if document.get("progress"):  # how far a heat has come is not kept until it is over
+            # How far a heat has come is not kept until it is over.
+            if document.get("progress") or document.get("over") is False:
                 response.headers["Cache-Control"] = "no-cache"
             return response
 

@@ -18,6 +18,7 @@ from league.matchmaking.documents import heat_document
 from league.matchmaking.pairing.heat_spec import Half
 from league.matchmaking.standings import Standings
 from league.matchmaking.store import HeatRecord, HeatState, LeagueEntry, Season, Store, StoredResult
+from league.matchmaking.wire import is_of
 from league.racing_line.racing_line import lap_bound
 from league.replay import Replay, format
 from league.sim.config import CarConfig
@@ -327,6 +328,21 @@ class Reader:
             "usual_s": median(took_s) if took_s else None,
             "races": len(record.heat.halves),
         }
+
+    def shown(self, record: HeatRecord, race: int) -> Replay | None:
+        """Return the recording so far of a race (from 0) of a heat that is being raced, or None.
+
+        A stranger's worker may have sent anything: what is no recording of this race is left out.
+        """
+        content = self.store.shown(record.number, race) if record.state == "claimed" else None
+        if content is None:
+            return None
+        half, seed = record.heat.halves[race], self.store.seeds(record.heat)[race]
+        try:
+            replay = format.decode(content)
+        except LeagueError:
+            return None
+        return replay if is_of(replay, half, seed, [self.names[id] for id in half.grid]) else None
 
     def results(self, records: Iterable[HeatRecord]) -> dict[int, list[StoredResult]]:
         """Return all results of some heats, by their numbers; see `Store.results`."""

@@ -23,8 +23,10 @@ _ORDERS = {"x": 2, "y": 2, "yaw": 1, "distance": 2, "gap": 1}
 """How often each column is differenced."""
 
 
-def player_data(replay: Replay) -> dict[str, object]:
+def player_data(replay: Replay, *, over: bool = True) -> dict[str, object]:
     """Return what the player draws: centimetres, hundredths of a radian and of a second.
+
+    A race that is not `over` goes on after the recording.
 
     Columns are differences along the frames: those of `x`, `y` and `distance` are differenced
     twice, those of `yaw` and `gap` once. player.js undoes that.
@@ -48,6 +50,7 @@ def player_data(replay: Replay) -> dict[str, object]:
         ),
         "cars": cars,
         "events": events(replay),
+        "over": over,
     }
 
 
@@ -132,6 +135,7 @@ def ghosts_data(laps: Sequence[Lap], track: Track) -> dict[str, object]:
         "obstacles": [],
         "cars": cars,
         "events": _events(laps, takes, times_s, distance),
+        "over": True,
     }
 
 

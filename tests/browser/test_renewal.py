@@ -7,9 +7,10 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Page, expect
 
+from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import Store
 from tests.browser.looking import NEEDS_CHROMIUM, opened
-from tests.matchmaking.season_kit import new_league, raced
+from tests.matchmaking.season_kit import followed, new_league, raced
 
 pytestmark = NEEDS_CHROMIUM
 HIDDEN = """hidden => {
@@ -97,6 +98,61 @@ def test_a_race_that_is_over_stays_until_there_is_a_newer_one(page, store, compl
     later(page)
     assert canvas.evaluate("canvas => canvas.own") and slider.input_value() == over != "0"
     assert complaints == []
+
+
+def test_a_heat_is_followed_while_it_runs(browser, origin, store, complaints):
+    Matchmaker(store, same_owner=True).plan()
+    (claim,) = store.claim("a worker", 1)
+    try:
+        *sent, report = followed(store, claim)
+        page = opened(browser, origin, complaints)
+        page.set_default_timeout(20_000)
+        page.goto(f"/heats/{claim.number}")
+        expect(page.get_by_role("heading", name="Racing now")).to_be_visible()
+        expect(page.locator(".player")).to_have_count(0)
+        store.show("a worker", [sent[2]])
+        canvas, clock = page.locator("canvas"), page.locator(".clock")
+        canvas.wait_for()
+        canvas.evaluate("canvas => (canvas.own = true)")
+        # It plays, and waits for more where the recording ends.
+        expect(clock).to_have_text("0:00.20 / 0:00.20 so far")
+        start = canvas.screenshot()
+        store.show("a worker", [sent[-2]])
+        expect(clock).to_have_text("0:00.53 / 0:00.53 so far")
+        assert canvas.screenshot() != start
+        expect(page.get_by_role("button", name="Pause")).to_be_visible()
+        expect(page.get_by_role("heading", name="Classification")).to_have_count(0)
+        store.complete("a worker", [report.outcome])
+        # Its result comes when the player is at its end; the player stays the same.
+        expect(page.get_by_role("heading", name="Classification")).to_be_visible()
+        expect(clock).to_have_text("0:00.60 / 0:00.60")
+        assert canvas.evaluate("canvas => canvas.own") and complaints == []
+    finally:
+        store.fail("a worker", claim.heat.key, "", lost=True)
+
+
+def test_the_result_of_a_heat_waits_until_the_player_has_shown_it(
+    browser, origin, store, complaints
+):
+    Matchmaker(store, same_owner=True).plan()
+    (claim,) = store.claim("a worker", 1)
+    try:
+        *sent, report = followed(store, claim)
+        store.show("a worker", [sent[2]])
+        page = opened(browser, origin, complaints, reduced_motion="reduce")
+        page.set_default_timeout(20_000)
+        page.goto(f"/heats/{claim.number}")
+        clock = page.locator(".clock")
+        expect(clock).to_have_text("0:00.00 / 0:00.20 so far")  # nothing plays by itself
+        store.complete("a worker", [report.outcome])
+        expect(clock).to_have_text("0:00.00 / 0:00.60")
+        page.wait_for_timeout(2000)
+        expect(page.get_by_role("heading", name="Classification")).to_have_count(0)
+        page.get_by_role("link", name="Show the result now").click()
+        expect(page.get_by_role("heading", name="Classification")).to_be_visible()
+        assert complaints == []
+    finally:
+        store.fail("a worker", claim.heat.key, "", lost=True)
 
 
 def test_the_standings_are_sorted_and_filtered_where_they_are(page, complaints):

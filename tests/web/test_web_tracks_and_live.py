@@ -18,7 +18,8 @@ from league.sim.config import CarConfig
 from league.track import files
 from league.web import charts
 from league.web.app import make_app
-from tests.web.small_league import ORIGIN, RULES, lapped_heat, new_league
+from tests.matchmaking.season_kit import SHORT, followed
+from tests.web.small_league import ORIGIN, RULES, lapped_heat, new_league, queued_league
 
 
 def test_records_are_the_clean_laps_of_the_standings(client, store):
@@ -106,6 +107,40 @@ def test_a_heat_that_is_raced_tells_how_far_it_has_come(store, monkeypatch):
         assert client.get(path).json()["progress"]["elapsed_s"] == pytest.approx(15.0)
     finally:
         store.fail("a worker", claim.heat.key, "", lost=True)
+
+
+def test_a_heat_can_be_followed_while_it_runs(tmp_path):
+    with queued_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
+        client = TestClient(make_app(store), base_url=ORIGIN)
+        (claim,) = store.claim("a worker", 1)
+        page, data = f"/heats/{claim.number}?race=2", f"/api/v1/heats/{claim.number}?race=2"
+        player = f"/api/v1/heats/{claim.number}/races/2/replay"
+        assert client.get(player).status_code == 404
+        assert "data-replay" not in client.get(page).text
+        assert client.get(data).json()["shown"] is False
+        *sent, report = followed(store, claim)
+        for progress in sent[3], sent[-2]:
+            store.show("a worker", [progress])
+            client = TestClient(make_app(store), base_url=ORIGIN)
+            seen = client.get(player)
+            steps = 1 + sent.index(progress)
+            assert seen.json()["over"] is False and seen.json()["laps"] == SHORT.laps
+            assert seen.json()["duration_s"] == pytest.approx(
+                steps / seen.json()["step_hz"], abs=1e-3
+            )
+            assert {len(car["x"]) for car in seen.json()["cars"]} == {steps + 1}
+            document, html = client.get(data), client.get(page).text
+            assert document.json()["shown"] and document.json()["spec"] is None
+            assert f'data-replay="{player}"' in html and "Show the result now" in html
+            assert f'data-newest="{claim.number}"' in client.get("/live").text
+            # Seeds are a secret until a heat is over.
+            texts = seen.text, document.text, html
+            assert not any(str(seed) in text for seed in store.seeds(claim.heat) for text in texts)
+        store.complete("a worker", [report.outcome])
+        client = TestClient(make_app(store), base_url=ORIGIN)
+        seen = client.get(player).json()
+        assert seen["over"] is True and {len(car["x"]) for car in seen["cars"]} == {len(sent) + 1}
+        assert client.get(data).json()["shown"] and "Show the result" not in client.get(page).text
 
 
 def test_home_names_the_heats_that_race_and_has_the_newest_results(client, store):

@@ -130,7 +130,7 @@ def live(reader: Reader) -> Document:
         return [heat_document(record, names) for record in records[:LISTED_LIVE]]
 
     return {
-        "newest": _newest(reader, newest),
+        "newest": _newest(reader, [*running[:LISTED], *newest]),
         "counts": counts,
         "per_minute": per_minute,
         "wait_minutes": counts.get("planned", 0) / per_minute if per_minute else None,
@@ -149,10 +149,10 @@ def live(reader: Reader) -> Document:
 
 
 def _newest(reader: Reader, records: Sequence[HeatRecord]) -> Document | None:
-    """Return the first race of the first of some heats that was recorded."""
+    """Return the first race of the first of some heats that can be watched."""
     for record in records:
         found = summary(reader, record.number)
-        if found["recording"]:
+        if found["shown"]:
             return found
     return None
 
@@ -228,7 +228,9 @@ def recording(reader: Reader, number: int, race: int) -> str:
 
 
 def replay(reader: Reader, number: int, race: int) -> Document:
-    """Return what the player draws of a race."""
+    """Return what the player draws of a race, as far as it has come."""
+    if shown := _race(reader, number, str(race)).shown:
+        return player_data(shown, over=False)
     digest = recording(reader, number, race)
     return reader.kept(("player", digest), lambda: player_data(reader.replay(digest)))
 
@@ -247,6 +249,8 @@ class _Race:
     """Of all races of the heat."""
     result: StoredResult | None
     replay: Replay | None
+    shown: Replay | None
+    """The recording so far, while it is being raced."""
 
 
 def _race(reader: Reader, number: int, race: str) -> _Race:
@@ -258,11 +262,12 @@ def _race(reader: Reader, number: int, race: str) -> _Race:
     results = reader.store.results(number)
     result = accepted(results, half)
     replay = reader.replay(result.replay) if result and result.replay else None
-    return _Race(record, half, results, result, replay)
+    shown = reader.shown(record, half) if result is None else None
+    return _Race(record, half, results, result, replay, shown)
 
 
 def _summary(reader: Reader, at: _Race) -> Document:
-    race = at.record.heat.halves[at.half]
+    race, drawn = at.record.heat.halves[at.half], _drawn(reader, at)
     cars = [reader.entry_of(id) for id in race.grid]
     return {
         "heat": heat_document(at.record, reader.names),
@@ -275,7 +280,8 @@ def _summary(reader: Reader, at: _Race) -> Document:
         "result": at.result.result if at.result else None,
         "places": at.result.places if at.result else (),
         "recording": at.result.replay if at.result else None,
-        "map": drawn.map if (drawn := _drawn(reader, at)) else None,
+        "shown": bool(at.replay or at.shown),
+        "map": drawn.map if drawn else charts.track_map(at.shown.track) if at.shown else None,
     }
 
 

@@ -170,6 +170,8 @@ class RaceSummary(Answer):
     """Of each car, in grid order."""
     recording: str | None
     """SHA-256 of the recording."""
+    shown: bool
+    """Whether there is something to play: the recording, or the race as far as it has come."""
     map: None = None
 
 
@@ -293,6 +295,8 @@ class PlayedRace(Answer):
     """Middles as x0, y0, ... [cm]."""
     cars: list[DrawnCar]
     events: list[RaceEvent]
+    over: bool
+    """False while it is being raced: ask again for more of it."""
 
 
 class SeasonLine(Answer):

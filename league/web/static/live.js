@@ -5,8 +5,9 @@ document.addEventListener("htmx:before:request", (event) => {
   const part = event.detail.ctx.sourceElement;
   // A link that has the focus would lose it.
   const used = part.matches("[data-live=list]") && part.contains(document.activeElement);
-  // The next race takes the place of one that is over.
-  const race = part.matches("[data-newest]") && part.querySelector(".player").player;
+  // The next race waits until the one that is shown is over, and so does a result.
+  const race =
+    part.matches("[data-newest], [data-live=heat]") && document.querySelector(".player")?.player;
   if (document.hidden || used || (race && !race.over)) event.preventDefault();
 });
 

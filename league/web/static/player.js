@@ -7,6 +7,7 @@ const CAPTION_PX = 30; // height of a caption's line
 const LEAD_S = 1; // events are shown from this long before they happen
 const LATEST = 9;
 const PANEL_HZ = 6;
+const MORE_MS = 1000; // while a race is being raced, more of it is asked for so often
 const JUMP_CM = 50; // a car that moved farther in one frame was put back: nothing lies between
 const CAR_CM = [30, 20];
 const ZOOM = 3.2;
@@ -86,11 +87,36 @@ class Player {
       this.key(event),
     );
     const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    if (!record.over) this.grow();
     if (!this.seekToHash() && plays && !still) this.toggle("loop" in root.dataset ? "off" : "polite");
   }
 
   get over() {
-    return this.time >= this.race.duration_s;
+    return this.race.over && this.time >= this.race.duration_s;
+  }
+
+  /** Ask for more of a race that is being raced, until it is over or the player has left the page. */
+  async grow() {
+    while (!this.race.over) {
+      await new Promise((later) => setTimeout(later, MORE_MS));
+      if (!this.root.isConnected) return;
+      if (document.hidden) continue;
+      try {
+        const answer = await fetch(this.root.dataset.replay);
+        if (answer.ok) this.extend(new Race(await answer.json()));
+      } catch {
+        // A server that is away is asked again.
+      }
+    }
+  }
+
+  extend(race) {
+    // Another worker may have begun the same race again.
+    if (!race.over && race.last < this.race.last) return;
+    this.race = race;
+    this.slider.max = race.duration_s;
+    this.markEvents();
+    this.seek(this.time);
   }
 
   build() {
@@ -130,13 +156,8 @@ class Player {
     const head = ["", "Driver", "Gap", "Lap", "m/s"].map((text) =>
       element("th", { scope: "col" }, text),
     );
-    const marks = element("div", { class: "marks", "aria-hidden": "true" });
-    for (const event of race.events) {
-      if (event.kind === "start") continue;
-      const mark = element("i", { class: event.kind });
-      mark.style.left = `${(100 * event.time_s) / race.duration_s}%`;
-      marks.append(mark);
-    }
+    this.marks = element("div", { class: "marks", "aria-hidden": "true" });
+    this.markEvents();
     const screen = element("div", { class: "screen" }, this.canvas, this.caption);
     const table = element(
       "table", { class: "order" },
@@ -145,13 +166,22 @@ class Player {
     );
     const bar = element(
       "div", { class: "controls" },
-      this.button, element("div", { class: "scrub" }, marks, this.slider), this.clock,
+      this.button, element("div", { class: "scrub" }, this.marks, this.slider), this.clock,
       this.pace, this.subject, full, ...("keys" in root.dataset ? [link] : []),
     );
     this.latest = element("ol", { class: "latest", "aria-hidden": "true" });
     root.replaceChildren(screen, element("div", { class: "side" }, table, this.latest), bar);
     root.tabIndex = 0;
     root.classList.add("ready");
+  }
+
+  markEvents() {
+    const { duration_s, events } = this.race;
+    this.marks.replaceChildren(...events.filter(({ kind }) => kind !== "start").map((event) => {
+      const mark = element("i", { class: event.kind });
+      mark.style.left = `${(100 * event.time_s) / duration_s}%`;
+      return mark;
+    }));
   }
 
   readColours() {
@@ -307,7 +337,8 @@ class Player {
   /** Write running order, gaps, time and caption; a few times a second is enough for reading. */
   showPanel(states, order) {
     this.slider.value = this.time;
-    this.clock.textContent = `${clock(this.time)} / ${clock(this.race.duration_s)}`;
+    const end = clock(this.race.duration_s) + (this.race.over ? "" : " so far");
+    this.clock.textContent = `${clock(this.time)} / ${end}`;
     this.slider.setAttribute("aria-valuetext", clock(this.time));
     const now = performance.now();
     if (this.playing && now - this.shownAt < 1000 / PANEL_HZ) return;
@@ -347,6 +378,7 @@ class Player {
     const next = (now) => {
       if (!this.playing) return;
       this.time += (Math.min(now - before, 200) / 1000) * this.speed;
+      if (!this.race.over) this.time = Math.min(this.time, this.race.duration_s);
       before = now;
       if (this.over) {
         this.time = "loop" in this.root.dataset ? 0 : this.race.duration_s;
@@ -436,7 +468,7 @@ async function begin(root, plays) {
     const answer = inline ? null : await fetch(root.dataset.replay);
     if (answer && !answer.ok) throw new Error(`The recording cannot be read (${answer.status}).`);
     const race = inline ? JSON.parse(inline.textContent) : await answer.json();
-    root.player = new Player(root, race, plays || "autoplay" in root.dataset);
+    root.player = new Player(root, race, plays || "autoplay" in root.dataset || !race.over);
     root.addEventListener("seekto", (event) => root.player.seek(event.detail));
   } catch (error) {
     root.append(element("p", { role: "alert" }, error.message));
