@@ -147,7 +147,7 @@ def _renew(asked: Asked) -> wire.Held:
 
 
 def _show(asked: Asked) -> wire.Held:
-    """Keep what is sent as it is: it is checked when somebody follows the race."""
+    """Keep what is sent as it is: it is checked when the race is followed."""
     sent: wire.Showing = asked.body
     worker = worker_of(asked.token, sent.worker)
     asked.store.show(worker, [wire.progress_of(one) for one in sent.heats])
