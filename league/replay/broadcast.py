@@ -282,8 +282,8 @@ def moments(replay: Replay) -> Iterator[tuple[float, Cars]]:
         yield time_s, {name: column[frame] for name, column in columns.items()}
 
 
-def of_replay(replay: Replay) -> list[Remark]:
-    """Return the whole story of a recorded race, in order of time."""
+def of_replay(replay: Replay, *, over: bool = True) -> list[Remark]:
+    """Return the story of a recorded race, in order of time; its end only if it is `over`."""
     events: dict[int, list[Event]] = {}
     for event in replay.result.events:
         events.setdefault(round(event.time_s * replay.step_hz), []).append(event)
@@ -291,7 +291,7 @@ def of_replay(replay: Replay) -> list[Remark]:
     lines: list[Remark] = []
     for frame, (time_s, cars) in enumerate(moments(replay)):
         lines += commentator.add(time_s, cars, events.get(frame, ()))
-    return lines + commentator.end(replay.result)
+    return lines + commentator.end(replay.result) if over else lines
 
 
 # The camera ------------------------------------------------------------------------------------

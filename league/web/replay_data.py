@@ -49,16 +49,16 @@ def player_data(replay: Replay, *, over: bool = True) -> dict[str, object]:
             np.stack([replay.columns.obstacle_x[0], replay.columns.obstacle_y[0]], axis=1), every=1
         ),
         "cars": cars,
-        "events": events(replay),
+        "events": events(replay, over=over),
         "over": over,
     }
 
 
-def events(replay: Replay) -> list[dict[str, object]]:
-    """Return what happens in a race, a sentence each."""
+def events(replay: Replay, *, over: bool = True) -> list[dict[str, object]]:
+    """Return what happens in a race, a sentence each; its end only if it is `over`."""
     return [
         {"time_s": line.time_s, "kind": line.kind, "car": line.car + 1, "text": line.text}
-        for line in broadcast.of_replay(replay)
+        for line in broadcast.of_replay(replay, over=over)
     ]
 
 

@@ -129,6 +129,8 @@ def test_a_heat_can_be_followed_while_it_runs(tmp_path):
                 steps / seen.json()["step_hz"], abs=1e-3
             )
             assert {len(car["x"]) for car in seen.json()["cars"]} == {steps + 1}
+            # As it stands somebody leads, but has not won.
+            assert {event["kind"] for event in seen.json()["events"]} == {"start"}
             document, html = client.get(data), client.get(page).text
             assert document.json()["shown"] and document.json()["spec"] is None
             assert f'data-replay="{player}"' in html and "Show the result now" in html
@@ -139,6 +141,7 @@ def test_a_heat_can_be_followed_while_it_runs(tmp_path):
         store.complete("a worker", [report.outcome])
         client = TestClient(make_app(store), base_url=ORIGIN)
         seen = client.get(player).json()
+        assert "winner" in {event["kind"] for event in seen["events"]}
         assert seen["over"] is True and {len(car["x"]) for car in seen["cars"]} == {len(sent) + 1}
         assert client.get(data).json()["shown"] and "Show the result" not in client.get(page).text
 
