@@ -129,7 +129,7 @@ def test_a_heat_can_be_followed_while_it_runs(tmp_path):
                 steps / seen.json()["step_hz"], abs=1e-3
             )
             assert {len(car["x"]) for car in seen.json()["cars"]} == {steps + 1}
-            # As it stands somebody leads, but has not won.
+            # One car leads, but has not won.
             assert {event["kind"] for event in seen.json()["events"]} == {"start"}
             document, html = client.get(data), client.get(page).text
             assert document.json()["shown"] and document.json()["spec"] is None
