@@ -213,11 +213,10 @@ class RemoteQueue:
 
     def show(self, worker: str, under_way: Sequence[HeatProgress]) -> None:
         """Send how far heats have come; a server that is busy or away does not get it."""
-        heats = tuple(map(wire.sent_progress, under_way))
+        sent = wire.Showing(worker=worker, heats=tuple(map(wire.sent_progress, under_way)))
+        client = replace(self._client, patience_s=0.0)
         with suppress(StoreError):
-            self._ask(
-                "progress", wire.Showing(worker=worker, heats=heats), wire.Held, patient=False
-            )
+            client.fetch(f"{WORK}/progress", sent.model_dump_json().encode(), "application/json")
 
     def complete(self, worker: str, outcomes: Sequence[HeatOutcome]) -> Received:
         """Hand in results, one heat at a time."""
@@ -240,12 +239,9 @@ class RemoteQueue:
         """Return an entry of a heat that was lent, by its id."""
         return wire.entry_of(text, self._entries[text])
 
-    def _ask(
-        self, what: str, asked: FrozenModel, answer: type[_Answer], *, patient: bool = True
-    ) -> _Answer:
+    def _ask(self, what: str, asked: FrozenModel, answer: type[_Answer]) -> _Answer:
         body = asked.model_dump_json().encode()
-        client = self._client if patient else replace(self._client, patience_s=0.0)
-        content = client.fetch(f"{WORK}/{what}", body, "application/json")
+        content = self._client.fetch(f"{WORK}/{what}", body, "application/json")
         try:
             return TypeAdapter(answer).validate_json(content)
         except ValidationError as error:

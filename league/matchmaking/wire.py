@@ -284,20 +284,23 @@ def _decoded(replay: str) -> bytes:
 def _check_recording(
     outcome: RaceOutcome, half: Half, seed: int, names: list[str], number: int
 ) -> None:
-    from league.replay import format as replay_format
-
-    try:
-        replay = replay_format.decode(outcome.replay or b"")
-    except LeagueError as error:
-        raise StoreError(f"a recording of heat {number} {error}") from error
-    if not is_of(replay, half, seed, names):
-        raise StoreError(f"a recording of heat {number} is of another race: send its own")
+    replay = recording_of(outcome.replay or b"", half, seed, names, number)
     if race_outcome(replay, outcome.replay) != outcome:
         raise StoreError(f"a result of heat {number} does not follow from its recording: send both")
 
 
-def is_of(replay: Replay, half: Half, seed: int, names: Sequence[str]) -> bool:
-    """Return whether a recording is of a race, with these names of its entries."""
+def recording_of(content: bytes, half: Half, seed: int, names: list[str], number: int) -> Replay:
+    """Return the recording that a stranger's worker sent of a race of a heat, by its number.
+
+    One that is broken, or of another race than this one with these names, is a StoreError.
+    """
+    from league.replay import format as replay_format
+
+    try:
+        replay = replay_format.decode(content)
+    except LeagueError as error:
+        raise StoreError(f"a recording of heat {number} {error}") from error
     spec = replay.result.spec
-    recorded = spec.track, spec.seed, [entry.name for entry in spec.entries]
-    return recorded == (half.track, seed, list(names))
+    if (spec.track, spec.seed, [one.name for one in spec.entries]) != (half.track, seed, names):
+        raise StoreError(f"a recording of heat {number} is of another race: send its own")
+    return replay

@@ -18,7 +18,7 @@ from league.matchmaking.documents import heat_document
 from league.matchmaking.pairing.heat_spec import Half
 from league.matchmaking.standings import Standings
 from league.matchmaking.store import HeatRecord, HeatState, LeagueEntry, Season, Store, StoredResult
-from league.matchmaking.wire import is_of
+from league.matchmaking.wire import recording_of
 from league.racing_line.racing_line import lap_bound
 from league.replay import Replay, format
 from league.sim.config import CarConfig
@@ -338,11 +338,11 @@ class Reader:
         if content is None:
             return None
         half, seed = record.heat.halves[race], self.store.seeds(record.heat)[race]
+        names = [self.names[id] for id in half.grid]
         try:
-            replay = format.decode(content)
-        except LeagueError:
+            return recording_of(content, half, seed, names, record.number)
+        except StoreError:
             return None
-        return replay if is_of(replay, half, seed, [self.names[id] for id in half.grid]) else None
 
     def results(self, records: Iterable[HeatRecord]) -> dict[int, list[StoredResult]]:
         """Return all results of some heats, by their numbers; see `Store.results`."""

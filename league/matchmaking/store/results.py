@@ -272,7 +272,7 @@ def _write(change: Change, intake: _Intake) -> None:
             over = heats.c.number.in_(numbers)
             change.update(heats, over, state=state, lease_s=None, done_s=change.now)
     if intake.disputed:
-        change.connection.execute(races.delete().where(races.c.heat.in_(intake.disputed)))
+        change.delete(races, races.c.heat.in_(intake.disputed))
 
 
 def settlement(heat: int, kept: Iterable[tuple[int, str]]) -> LedgerRecord:

@@ -229,7 +229,7 @@ def recording(reader: Reader, number: int, race: int) -> str:
 
 def replay(reader: Reader, number: int, race: int) -> Document:
     """Return what the player draws of a race, as far as it has come."""
-    if shown := _race(reader, number, str(race)).shown:
+    if shown := reader.shown(reader.record(number), race - 1):
         return player_data(shown, over=False)
     digest = recording(reader, number, race)
     return reader.kept(("player", digest), lambda: player_data(reader.replay(digest)))
