@@ -305,10 +305,12 @@ def history(store: Store, entry: LeagueEntry, *, points: int = 20) -> list[Histo
     return moments
 
 
-def trends(rated: Standings, carried: Carried | None) -> dict[int, float]:
+def trends(
+    rated: Standings, carried: Carried | None, pause: Callable[[], None] = lambda: None
+) -> dict[int, float]:
     """Return by how much the season's newest heats changed each rating [Elo], by entry number.
 
-    `carried` is what was known before the season.
+    `carried` is what was known before the season; `pause` is called between steps.
     """
     heats = np.sort(rated.races.heat)  # np.unique takes ten times as long
     heats = heats[changes(heats)]
@@ -316,8 +318,10 @@ def trends(rated: Standings, carried: Carried | None) -> dict[int, float]:
     if not len(newest):
         return {}
     earlier = standings.results_of(rated.races, before=int(newest[0]))
+    pause()
     data = RatingData.of(earlier, rated.ratings.entries)
-    changed = rated.ratings.elo - refit(data, rated.ratings, carried)
+    pause()
+    changed = rated.ratings.elo - refit(data, rated.ratings, carried, pause)
     raced = data.races > 0
     return dict(zip(data.entries[raced].tolist(), changed[raced].tolist(), strict=True))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -123,19 +123,21 @@ def rated(
     also: Collection[int] = (),
     carried: Carried | None = None,
     near: Ratings | None = None,
+    pause: Callable[[], None] = lambda: None,
 ) -> tuple[RatingData, Ratings] | None:
     """Return a league's counted results and their fit, pinned to the first anchor.
 
     Rated are entries in a rated state, those that raced, and those with the numbers `also`.
-    `carried` is what is known from an earlier season, `near` are ratings by nearly the same races.
-    None without an entry to rate.
+    `carried` is what is known from an earlier season, `near` are ratings by nearly the same races,
+    `pause` is called between steps of the fit. None without an entry to rate.
     """
     numbers = {entry.number for entry in entries if entry.state in RATED} | set(also)
     data = RatingData.of(results, sorted(numbers))
     if not len(data.entries):
         return None
     anchor = anchor_of(data.entries, entries)
-    return data, fit(data, anchor=anchor, carried=carried, near=near)
+    pause()
+    return data, fit(data, anchor=anchor, carried=carried, near=near, pause=pause)
 
 
 def anchor_of(numbers: np.ndarray, entries: Sequence[LeagueEntry]) -> int | None:
@@ -169,19 +171,23 @@ def table(
     tracks: tuple[str, ...],
     *,
     near: Ratings | None = None,
+    pause: Callable[[], None] = lambda: None,
 ) -> Standings | None:
     """Return the standings that follow from some races; None if no entry is rated.
 
     The races are all of one ruleset, given by its hash and tracks. Ratings by nearly the same
-    races (`near`) make this quick.
+    races (`near`) make this quick. `pause` is called between its steps.
     """
-    found = rated(results_of(within.races), entries, (), within.carried, near)
+    found = rated(results_of(within.races), entries, (), within.carried, near, pause)
     if found is None:
         return None
+    pause()
     data, fitted = found
     runs = Runs.of(within.races, tracks, entries)
+    rows = _rows(fitted, entries, runs)
+    pause()
     return Standings(
-        rows=_rows(fitted, entries, runs),
+        rows=rows,
         ratings=fitted,
         runs=runs,
         goodness=goodness_of_fit(data, fitted),

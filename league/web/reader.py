@@ -31,13 +31,13 @@ FRESH_S = 1.0
 QUICK_S = 0.1
 """A snapshot that takes more of a processor than this [s] is taken by a thread of its own; until
 then new races are added to the last one."""
-MANY, PATIENCE_S = 3, 4.0
-"""While so many first answers are made, or were a moment ago (`FRESH_S`), a snapshot that takes
-long is brought up to date so much later [s]: the requests that wait for them have more of the
-processor."""
-CALM_S, CALM_MOST_S, LOOKS_S = 2.0, 20.0, 0.05
-"""A fit begins when for so long [s] fewer were being made, so much later [s] at the latest; it
-looks so often [s]. It takes seconds of a processor, which a crowd's first answers need more."""
+MANY, LOOKS_S = 3, 0.05
+"""A crowd asks while so many first answers are being made. A slow snapshot waits for its end,
+looking so often [s]: the crowd's answers need the processor more."""
+CALM_S, PATIENCE_S = 0.1, 4.0
+"""New races are added once no crowd has asked for so long [s], so much later [s] at the latest."""
+FIT_CALM_S, FIT_PATIENCE_S = 2.0, 20.0
+"""The same before a fit, which takes seconds; between its steps it waits for a new crowd's end."""
 REST = 4.0
 """The next one waits so many times as long as the last one worked: a fifth of a processor."""
 SETTLED_REST = 24.0
@@ -88,20 +88,16 @@ class Reader:
     def snapshot(self) -> Snapshot:
         """Return the league as it is, or was a moment ago.
 
-        Where a whole one takes long to compute, new races are added to the last one, see
-        `snapshot.updated`, and a thread settles what follows from them. Where not even that is
-        possible, or another request does it just now, an older one is returned.
+        Where a whole one takes long to compute, a thread adds new races to the last one, see
+        `snapshot.updated`, and another one settles what follows from them; until then, or where not
+        even that is possible, an older one is returned.
         """
-        now, now_s = self._snapshot, time.monotonic()
-        crowded = self._is_slow and now_s < self._crowded_s + FRESH_S
-        if now is not None and now_s < self._due_s + (PATIENCE_S if crowded else 0.0):
-            return now
-        if self._taking.acquire(blocking=now is None or not self._is_slow):
-            try:
+        if self._snapshot is None or not self._is_slow:
+            with self._taking:
                 if self._snapshot is None or time.monotonic() >= self._due_s:
                     self._renew()
-            finally:
-                self._taking.release()
+        elif time.monotonic() >= self._due_s and self._taking.acquire(blocking=False):
+            threading.Thread(target=self._renew_later, daemon=True).start()
         assert self._snapshot is not None
         return self._snapshot
 
@@ -109,6 +105,14 @@ class Reader:
         """Hear how many answers are being made, which requests wait for."""
         if num_making >= MANY:
             self._crowded_s = time.monotonic()
+
+    def _renew_later(self) -> None:
+        try:
+            self._wait_for_calm(CALM_S, time.monotonic() + PATIENCE_S)
+            with contextlib.suppress(LeagueError):  # a later request tries again
+                self._renew()
+        finally:
+            self._taking.release()
 
     def _renew(self) -> None:
         """Bring the snapshot up to date, and decide when it is looked at again."""
@@ -126,11 +130,11 @@ class Reader:
         worked_s = time.thread_time() - start_s
         self._due_s = time.monotonic() + max(FRESH_S, REST * worked_s)
 
-    def _taken(self, before: Snapshot | None) -> Snapshot:
-        """Return a whole snapshot."""
+    def _taken(self, before: Snapshot | None, pause: Callable[[], None] = lambda: None) -> Snapshot:
+        """Return a whole snapshot; `pause` is called between the steps of this."""
         start_s = time.thread_time()
-        taken = snapshot.take(self.store, before)
-        taken.prepare()
+        taken = snapshot.take(self.store, before, pause)
+        taken.prepare(pause)
         worked_s = time.thread_time() - start_s
         self._taken_s, self._took_s = time.monotonic(), worked_s
         was_slow, self._is_slow = self._is_slow, worked_s > QUICK_S
@@ -147,18 +151,25 @@ class Reader:
             threading.Thread(target=self._settle, daemon=True).start()
 
     def _settle(self) -> None:
+        until_s = time.monotonic() + FIT_PATIENCE_S
+
+        def pause() -> None:
+            if time.monotonic() < self._crowded_s + CALM_S:
+                self._wait_for_calm(CALM_S, until_s)
+
         try:
-            self._wait_for_calm()
+            self._wait_for_calm(FIT_CALM_S, until_s)
             with contextlib.suppress(LeagueError):  # a later request tries again
-                taken = self._taken(self._snapshot)
+                taken = self._taken(self._snapshot, pause)
                 with self._taking:
                     self._snapshot = snapshot.updated(self.store, taken) or taken
         finally:
             self._settling.release()
 
-    def _wait_for_calm(self) -> None:
+    def _wait_for_calm(self, calm_s: float, until_s: float) -> None:
+        """Wait until no crowd has asked for so long [s], or to some moment of time.monotonic()."""
         start_s = time.monotonic()
-        while time.monotonic() < min(max(start_s, self._crowded_s) + CALM_S, start_s + CALM_MOST_S):
+        while time.monotonic() < min(max(start_s, self._crowded_s) + calm_s, until_s):
             time.sleep(LOOKS_S)
 
     def standings_of(self, track: str, cars: int) -> Standings | None:

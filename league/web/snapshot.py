@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -56,10 +57,12 @@ class Snapshot:
     settled: Snapshot | None = None
     """The last snapshot with fitted ratings, if this is that one a few races later."""
 
-    def prepare(self) -> None:
-        """Compute now what pages look up, so that no request has to."""
+    def prepare(self, pause: Callable[[], None] = lambda: None) -> None:
+        """Compute now what pages look up, so that no request has to; see `take`."""
         for name in (*SHARED, "rows", "clean_laps", "car_counts"):
+            pause()
             getattr(self, name)
+        pause()
         _ = self.counted.index
         if self.rated:
             self.rated.ratings.gap_variance(0, 0)  # the first one prepares all
@@ -200,8 +203,13 @@ def kind_of(entry: LeagueEntry) -> str:
     return "anchor" if entry.anchor else entry.kind
 
 
-def take(store: Store, before: Snapshot | None = None) -> Snapshot:
-    """Return a league as it is now; what has not changed since `before` is not computed again."""
+def take(
+    store: Store, before: Snapshot | None = None, pause: Callable[[], None] = lambda: None
+) -> Snapshot:
+    """Return a league as it is now; what has not changed since `before` is not computed again.
+
+    `pause` is called between steps that take a tenth of a second in a large league; it may wait.
+    """
     revision, settings = store.revision, store.settings
     if before is not None and before.settings != settings:
         before = None
@@ -223,8 +231,10 @@ def take(store: Store, before: Snapshot | None = None) -> Snapshot:
             rules.hash,
             rules.tracks,
             near=before.rated.ratings if before and before.rated else None,
+            pause=pause,
         )
-        trends = scores.trends(rated, within.carried) if rated else {}
+        pause()
+        trends = scores.trends(rated, within.carried, pause) if rated else {}
         if rated and isinstance(store, SeasonView):
             rated = replace(rated, rows=_frozen(rated.rows, store.rows))
     seasons = tuple(store.seasons())
@@ -274,7 +284,9 @@ def updated(store: Store, before: Snapshot) -> Snapshot | None:
     if later.voided != base.races.voided:
         return None
     if not len(later.heat):
-        return replace(base, revision=revision)
+        now = copy(base)  # with all that pages look up
+        vars(now)["revision"] = revision
+        return now
     if base.rated is None:
         return None
     races, counted = base.races.joined(later), later

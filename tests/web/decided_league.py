@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+
 from league.matchmaking.pairing.heat_spec import Half, Heat
 from league.matchmaking.store import HeatOutcome, RaceOutcome, Store
 from tests.matchmaking import leagues
@@ -34,3 +37,11 @@ def decided_league(url: str, *, duels: int) -> Store:
     trio = tuple(entry.id for entry in store.entries()[:3])
     raced(store, [*leagues.duels(store, duels), Heat(leagues.RULES.hash, (Half("ring", trio),))])
     return store
+
+
+def until(is_so: Callable[[], object]) -> None:
+    """Wait until something is so, which another thread brings about."""
+    give_up = time.monotonic() + 60
+    while not is_so():
+        assert time.monotonic() < give_up
+        time.sleep(0.01)

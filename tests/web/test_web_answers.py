@@ -19,13 +19,13 @@ from league.matchmaking.ratings.table import expected_score
 from league.matchmaking.scope import RatingScope
 from league.matchmaking.scores import heat_scores, race_scores
 from league.matchmaking.store import Store
-from league.web import answers, reader, server
+from league.web import answers, reader, server, snapshot
 from league.web.app import make_app
 from league.web.pages import heats
 from league.web.reader import Reader
 from league.web.routes import Page
 from tests.matchmaking import leagues
-from tests.web.decided_league import decided_league, raced
+from tests.web.decided_league import decided_league, raced, until
 from tests.web.small_league import ORIGIN
 
 
@@ -191,14 +191,22 @@ def test_new_races_wait_while_first_answers_are_made(league, monkeypatch):
     before = pages.snapshot()
     raced(league, leagues.duels(league, 1, first=500))
     pages._is_slow, pages._due_s = True, time.monotonic()
-    pages.note(reader.MANY)
+    pages._crowded_s = time.monotonic() + 600
     assert pages.snapshot() is before
-    monkeypatch.setattr(reader, "PATIENCE_S", 0.0)
-    assert len(pages.snapshot().races.heat) > len(before.races.heat)
+    time.sleep(2 * reader.CALM_S)
+    assert pages.snapshot() is before
+    pages._crowded_s = 0.0
+    until(lambda: len(pages.snapshot().races.heat) > len(before.races.heat))
+    # A crowd that does not end is not waited for any longer.
+    pages._crowded_s = time.monotonic() + 600
+    monkeypatch.setattr(reader, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(reader, "FRESH_S", 0.0)
+    raced(league, leagues.duels(league, 1, first=600))
+    until(lambda: len(pages.snapshot().races.heat) > len(before.races.heat) + 2)
 
 
 def test_a_fit_waits_until_the_first_answers_of_a_crowd_are_made(league, monkeypatch):
-    monkeypatch.setattr(reader, "CALM_S", 0.1)
+    monkeypatch.setattr(reader, "FIT_CALM_S", 0.1)
     pages = Reader(league)
     first = pages.snapshot()
     pages._is_slow, pages._took_s, pages._crowded_s = True, 0.0, time.monotonic() + 600
@@ -206,10 +214,32 @@ def test_a_fit_waits_until_the_first_answers_of_a_crowd_are_made(league, monkeyp
     time.sleep(0.5)
     assert pages.snapshot() is first
     pages._crowded_s = 0.0
-    give_up = time.monotonic() + 60
-    while pages.snapshot() is first:
-        assert time.monotonic() < give_up
-        time.sleep(0.01)
+    until(lambda: pages.snapshot() is not first)
+
+
+def test_a_fit_that_has_begun_lets_a_crowd_go_first(league, monkeypatch):
+    monkeypatch.setattr(reader, "FIT_CALM_S", 0.0)
+    pages = Reader(league)
+    first = pages.snapshot()
+    pages._is_slow, pages._took_s = True, 0.0
+    raced(league, leagues.duels(league, 1, first=500))
+    steps, scores = [], snapshot.scores.trends
+
+    def crowd_comes(rated, carried, pause):
+        pages._crowded_s = time.monotonic() + 600
+        steps.append("begun")
+        pause()
+        steps.append("gone on")
+        return scores(rated, carried, pause)
+
+    monkeypatch.setattr(snapshot.scores, "trends", crowd_comes)
+    pages._settle_later(0.0)
+    until(lambda: steps)
+    time.sleep(0.3)
+    assert steps == ["begun"] and pages._snapshot is first
+    pages._crowded_s = 0.0
+    until(lambda: pages._snapshot is not first)
+    assert steps == ["begun", "gone on"] and pages._snapshot.settled is None
 
 
 def test_likely_pages_are_made_while_no_visitor_waits(league, making, monkeypatch):

@@ -3,7 +3,7 @@
 `fit` starts from the races alone, `updated` adds a few races to a fit.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,6 +59,7 @@ def fit(
     anchor: int | None = None,
     carried: Carried | None = None,
     near: Ratings | None = None,
+    pause: Callable[[], None] = lambda: None,
 ) -> Ratings:
     """Rate a field from all its races.
 
@@ -69,20 +70,29 @@ def fit(
         anchor: the entry that is 1000, one of the field.
         carried: ratings of an earlier season, which these races change.
         near: ratings by nearly the same races: the search begins there and is short.
+        pause: called between steps, so that a thread with more urgent work can have its turn.
     """
     data = races if isinstance(races, RatingData) else RatingData.of(races, entries)
     settings = settings or RatingSettings()
-    model = _Model(data, settings, carried, near)
+    model = _Model(data, settings, carried, near, pause)
     prior_sd = carried.prior_sd if carried and settings.prior_sd is None else settings.prior_sd
     posterior = model.learned() if prior_sd is None else model.at(prior_sd)
+    pause()
     squares = Squares.of(data.results, posterior.parameters, model.prior(posterior.prior_sd))
+    pause()
     variances = Variances(posterior.system, squares, posterior.weights)
+    pause()
     return _ratings(data, posterior, variances, anchor, model.num_spreads)
 
 
-def refit(data: RatingData, like: Ratings, carried: Carried | None = None) -> np.ndarray:
+def refit(
+    data: RatingData,
+    like: Ratings,
+    carried: Carried | None = None,
+    pause: Callable[[], None] = lambda: None,
+) -> np.ndarray:
     """Return what ratings would be by part of their races [Elo], under the same prior."""
-    posterior = _Model(data, RatingSettings(), carried, like).at(like.prior_sd)
+    posterior = _Model(data, RatingSettings(), carried, like, pause).at(like.prior_sd)
     return _elo(data, posterior, like.anchor)
 
 
@@ -95,8 +105,9 @@ class _Model:
         settings: RatingSettings,
         carried: Carried | None,
         near: Ratings | None,
+        pause: Callable[[], None],
     ) -> None:
-        self._counts, self._settings = data.counts, settings
+        self._counts, self._settings, self._pause = data.counts, settings, pause
         self._mean = np.zeros(data.counts.size)
         self._precisions = np.full(len(data.entries), np.nan)
         if carried is not None:
@@ -125,6 +136,7 @@ class _Model:
         value = seen.value - 0.5 * float(prior @ (at - self._mean) ** 2)
         far = 1.0
         for _ in range(100):
+            self._pause()
             system = systems.system(
                 self._counts, seen.weights, prior, dense_most=self._settings.dense_most
             )
