@@ -70,6 +70,32 @@ def test_captions_are_announced_unless_a_race_begins_again_and_again(browser, or
     expect(caption).to_have_attribute("aria-live", "polite")  # the visitor started it
 
 
+def test_a_race_that_plays_leaves_a_screen_reader_where_it_is(browser, origin, complaints):
+    page = opened(browser, origin, complaints)
+    page.goto("/")
+    row = page.locator(".order tbody tr").first.element_handle()
+    assert page.locator(".player output, .player [role=status]").count() == 0
+    before = page.locator(".clock").inner_text(), row.inner_text()
+    page.wait_for_timeout(700)
+    # Rows and cells that were replaced would take the place of who reads them away.
+    assert row.evaluate("row => row.isConnected") and row.inner_text() != before[1]
+    assert page.locator(".clock").inner_text() != before[0]
+    # It says each new value of a slider that has the focus: many in a second, if they were shown.
+    slider = page.locator(".scrub input")
+    page.get_by_role("button", name="Pause").focus()
+    page.keyboard.press("Tab")
+    expect(slider).to_be_focused()
+    focused = slider.input_value(), slider.get_attribute("aria-valuetext")
+    page.wait_for_timeout(700)
+    assert (slider.input_value(), slider.get_attribute("aria-valuetext")) == focused
+    page.keyboard.press("ArrowRight")
+    assert float(slider.input_value()) > float(focused[0]) + 1
+    sought = slider.input_value()
+    expect(slider).not_to_have_value(sought, timeout=20_000)
+    assert abs(float(slider.input_value()) - float(sought)) > 4.9
+    assert complaints == []
+
+
 def test_home_stands_still_where_motion_is_not_wanted(browser, origin, complaints):
     page = opened(browser, origin, complaints, reduced_motion="reduce")
     page.goto("/")

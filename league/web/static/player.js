@@ -7,6 +7,7 @@ const CAPTION_PX = 30; // height of a caption's line
 const LEAD_S = 1; // events are shown from this long before they happen
 const LATEST = 9;
 const PANEL_HZ = 6;
+const SAID_S = 5; // a screen reader says each new value of a slider that has the focus
 const MORE_MS = 1000; // while a race is being raced, more of it is asked for so often
 const JUMP_CM = 50; // a car that moved farther in one frame was put back: nothing lies between
 const CAR_CM = [30, 20];
@@ -35,6 +36,11 @@ function element(name, attributes = {}, ...children) {
   for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
   made.append(...children);
   return made;
+}
+
+/** Change the text of an element; what is not new stays as it is. */
+function write(made, text) {
+  if (made.textContent !== text) made.textContent = text;
 }
 
 /** A race's columns, and where every car is at any time. */
@@ -133,7 +139,8 @@ class Player {
       type: "range", min: 0, max: race.duration_s, step: 0.05, value: 0, "aria-label": "Race time",
     });
     this.slider.addEventListener("input", () => this.seek(Number(this.slider.value)));
-    this.clock = element("output", { class: "clock" });
+    // No <output>: a screen reader would say each of its changes, many in a second.
+    this.clock = element("span", { class: "clock" });
     const option = (value, text) => element("option", { value }, text);
     this.pace = element(
       "select", { "aria-label": "Speed" },
@@ -151,7 +158,11 @@ class Player {
     full.addEventListener("click", () => this.fullScreen());
     const link = element("button", { type: "button" }, "Link to this moment");
     link.addEventListener("click", () => this.link());
-    this.order = element("tbody");
+    this.order = element("tbody", {}, ...race.cars.map(() => element(
+      "tr", {},
+      element("td", {}, element("b", {})), element("td", { class: "name" }),
+      ...[0, 1, 2].map(() => element("td", { class: "number" })),
+    )));
     this.caption = element("p", { class: "caption", "aria-live": "polite" });
     const head = ["", "Driver", "Gap", "Lap", "m/s"].map((text) =>
       element("th", { scope: "col" }, text),
@@ -336,35 +347,39 @@ class Player {
 
   /** Write running order, gaps, time and caption; a few times a second is enough for reading. */
   showPanel(states, order) {
-    this.slider.value = this.time;
+    const sought = !this.playing || this.shownAt < 0;
+    const said = this.slider.matches(":focus-visible") && !sought;
+    if (!said || Math.abs(this.time - this.slider.value) >= SAID_S) {
+      this.slider.value = this.time;
+      this.slider.setAttribute("aria-valuetext", clock(this.time));
+    }
     const end = clock(this.race.duration_s) + (this.race.over ? "" : " so far");
     this.clock.textContent = `${clock(this.time)} / ${end}`;
-    this.slider.setAttribute("aria-valuetext", clock(this.time));
     const now = performance.now();
     if (this.playing && now - this.shownAt < 1000 / PANEL_HZ) return;
     this.shownAt = now;
-    this.order.replaceChildren(...order.map((index, place) => {
+    order.forEach((index, place) => {
       const { gap, lap, finished, stopped, speed } = states[index];
       const car = this.race.cars[index];
-      const cells = [
+      const [mark, ...cells] = this.order.rows[place].cells;
+      mark.firstChild.className = `car car-${car.number}`;
+      const texts = [
+        String(car.number),
+        car.name,
         place ? `+${gap.toFixed(2)}` : "leader",
         finished ? "done" : `${lap}/${this.race.laps}`,
         stopped ? "penalty" : speed.toFixed(1),
       ];
-      return element(
-        "tr", {},
-        element("td", {}, element("b", { class: `car car-${car.number}` }, String(car.number))),
-        element("td", { class: "name" }, car.name),
-        ...cells.map((text) => element("td", { class: "number" }, text)),
-      );
-    }));
+      // New rows would take a screen reader's place in the table away.
+      [mark.firstChild, ...cells].forEach((cell, at) => write(cell, texts[at]));
+    });
     const past = this.race.events.filter((event) => event.time_s <= this.time).reverse();
     this.latest.replaceChildren(...past.slice(0, LATEST).map((event) =>
       element("li", {}, element("span", {}, clock(event.time_s)), element("span", {}, event.text)),
     ));
     if (now < this.saidUntil) return;
     const text = past.length && past[0].time_s > this.time - CAPTION_S ? past[0].text : "";
-    if (this.caption.textContent !== text) this.caption.textContent = text;
+    write(this.caption, text);
   }
 
   /** Play or pause; "off" keeps the captions of a race that begins again and again from screen readers. */
