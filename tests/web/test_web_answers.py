@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jinja2
 import numpy as np
@@ -109,6 +110,18 @@ def test_the_most_contested_race_is_found_reading_each_result_once(league, monke
     later = heats._most_contested(pages)
     assert len(asked) == 2 and not known & set(asked)
     assert later == heats._most_contested(Reader(league))
+
+
+def test_a_slow_car_that_is_hit_again_and_again_is_no_fight():
+    def contest(heat, passes, crashes):
+        cars = [
+            {"overtakes": passes, "crashes": 0, "finished": True, "total_s": 15.0},
+            {"overtakes": 0, "crashes": crashes, "finished": True, "total_s": 18.0},
+        ]
+        result = {"order": cars, "lead_changes": passes}
+        return heats._contest(SimpleNamespace(result=result, heat=heat, half=0))
+
+    assert max(contest(1, 3, 11), contest(2, 1, 0), contest(3, 1, 1))[2] == 2
 
 
 def test_who_raced_the_newest_heats_is_read_without_the_heats(league):

@@ -65,7 +65,10 @@ def home(reader: Reader) -> Document:
 
 
 def _most_contested(reader: Reader) -> tuple[int, str] | None:
-    """Return the number of a heat and of its race with the most passes, then the closest one."""
+    """Return the number of a heat and of its race with the most passes, then the closest one.
+
+    Crashes count against it: a slow car that is hit again and again is no fight.
+    """
     rated = [one.number for one in reader.newest(RECENT) if one.heat.purpose == "rated"]
     before: dict[int, list[_Contest]] = reader.kept("contests", dict)
     new = reader.store.results(*(number for number in rated if number not in before))
@@ -80,10 +83,10 @@ def _most_contested(reader: Reader) -> tuple[int, str] | None:
 
 def _contest(result: StoredResult) -> _Contest:
     order = result.result["order"]
-    passes = result.result["lead_changes"] + sum(car["overtakes"] for car in order)
+    fights = result.result["lead_changes"] + sum(car["overtakes"] - car["crashes"] for car in order)
     finished = [car["total_s"] for car in order if car["finished"]]
     gap_s = finished[1] - finished[0] if len(finished) > 1 else 1e6
-    return int(passes), -float(gap_s), result.heat, str(result.half + 1)
+    return int(fights), -float(gap_s), result.heat, str(result.half + 1)
 
 
 def feed(reader: Reader) -> Document:
