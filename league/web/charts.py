@@ -21,6 +21,8 @@ WIDTH, HEIGHT = 520, 180
 LEFT, BOTTOM, TOP, RIGHT = 50, 22, 10, 8
 MARKS_APART = 26
 """Marks that are closer share one label."""
+FLAT = 1e-6
+"""Values that differ by less are the same: ratings of the anchor, but for rounding."""
 STEP = 0.1
 """Distance between the places at which times are compared [m]."""
 LEVELS = 6
@@ -220,9 +222,14 @@ def bar(row: Row, scale: tuple[float, float]) -> tuple[float, float, float]:
 def _axis(
     values: np.ndarray, start: float, end: float, *, whole: bool = False
 ) -> tuple[np.ndarray, tuple[Tick, ...]]:
-    """Return where values lie on an axis from `start` to `end` in the picture, and its ticks."""
+    """Return where values lie on an axis from `start` to `end` in the picture, and its ticks.
+
+    Values that are all the same lie in the middle.
+    """
     low, high = float(values.min()), float(values.max())
-    span = max(high - low, 1e-9)
+    if high - low < FLAT:
+        low, high, whole = low - 0.5, high + 0.5, True
+    span = high - low
     step = 10.0 ** np.floor(np.log10(span / 3))
     step *= next(factor for factor in (1, 2, 5, 10) if span / (factor * step) <= 5)
     if whole:

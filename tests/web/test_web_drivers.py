@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from league.matchmaking import standings
-from league.matchmaking.scores import race_scores
+from league.matchmaking.scores import HistoryPoint, race_scores
 from league.matchmaking.store import LeagueEntry
-from league.web import snapshot
+from league.web import charts, snapshot
 from league.web.pages import driver
 from league.web.pages.laps import medal, medal_times
 
@@ -102,3 +102,12 @@ def test_many_parents_of_many_parents_are_cut():
         return sum(1 + count(one.parents) for one in parents)
 
     assert count(driver.ancestors(snapshot.by_digest(league), league[0])) <= driver.MOST_ANCESTORS
+
+
+def test_the_rating_of_an_anchor_has_one_number_at_its_axis():
+    points = [HistoryPoint(n, n, 1000.0, 1000.0, 1000.0 + 1e-12) for n in range(1, 4)]
+    chart = charts.rating_history(points)
+    (tick,) = chart.y_ticks
+    assert tick.label == "1000"
+    assert tick.at == pytest.approx((chart.top + chart.bottom) / 2)
+    assert chart.lines[0].path.split()[1].startswith(f"{tick.at:.2f}")
