@@ -238,10 +238,12 @@ def test_a_mistyped_command_is_one_sentence_with_what_is_near(league):
     assert "there are audit, card" in league("--colour")[2]
 
 
-def test_positional_arguments_are_named(league):
+def test_arguments_are_named(league):
     for name in commands.COMMANDS:
-        usage = league(name, "--help")[1].splitlines()[0]
+        text = league(name, "--help")[1]
+        usage = text.splitlines()[0]
         assert not re.search(r"\b(STR|PATH)\b", usage.partition("OPTIONS]")[2]), usage
+        assert "{None}" not in text
 
 
 @pytest.mark.parametrize("arguments", [["tracks"], ["--help"], ["race", "--help"]])

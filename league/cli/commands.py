@@ -127,5 +127,5 @@ def _parsed(arguments: list[str]) -> Any:  # noqa: ANN401
         command_class(name),
         prog=f"league {name}",
         args=arguments[1:],
-        config=(tyro.conf.OmitArgPrefixes,),
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone),
     )

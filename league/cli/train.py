@@ -140,7 +140,7 @@ def _parsed(arguments: list[str], default: Train) -> Train:
         prog="league train",
         args=arguments,
         default=default,
-        config=(tyro.conf.OmitArgPrefixes,),
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone),
     )
 
 
