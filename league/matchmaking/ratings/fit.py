@@ -105,7 +105,7 @@ class _Model:
         settings: RatingSettings,
         carried: Carried | None,
         near: Ratings | None,
-        pause: Callable[[], None],
+        pause: Callable[[], None] = lambda: None,
     ) -> None:
         self._counts, self._settings, self._pause = data.counts, settings, pause
         self._mean = np.zeros(data.counts.size)
