@@ -204,6 +204,10 @@ def test_new_races_wait_while_first_answers_are_made(league, monkeypatch):
     before = pages.snapshot()
     raced(league, leagues.duels(league, 1, first=500))
     pages._is_slow, pages._due_s = True, time.monotonic()
+    pages.note(reader.MANY - 1)
+    assert pages._crowded_s == float("-inf")
+    pages.note(reader.MANY)
+    assert time.monotonic() - 60 < pages._crowded_s <= time.monotonic()
     pages._crowded_s = time.monotonic() + 600
     assert pages.snapshot() is before
     time.sleep(2 * reader.CALM_S)

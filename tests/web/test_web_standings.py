@@ -22,7 +22,7 @@ from league.web.pages import table
 from league.web.routes import Page
 from league.web.snapshot import take
 from tests.matchmaking import leagues
-from tests.web.decided_league import ENTRIES, decided_league, raced
+from tests.web.decided_league import ENTRIES, decided_league, raced, until
 from tests.web.small_league import ORIGIN
 
 
@@ -222,10 +222,7 @@ def test_an_answer_that_was_just_up_to_date_is_given_while_the_next_is_made(
         for _ in range(5):
             assert pages.get("/standings").text == first
         may.set()
-        give_up = time.monotonic() + 60
-        while pages.get("/standings").text == first:
-            assert time.monotonic() < give_up
-            time.sleep(0.01)
+        until(lambda: pages.get("/standings").text != first)
         # What is older is made before it is given; of this page no renewal is under way.
         pages.get("/standings?sort=wins")
         monkeypatch.setattr(answers, "STALE_S", 0.0)
@@ -242,10 +239,7 @@ def test_a_page_that_many_ask_for_at_once_is_made_once(league, making):
         ThreadPoolExecutor(6) as visitors,
     ):
         asked = [visitors.submit(pages.get, "/standings") for _ in range(6)]
-        give_up = time.monotonic() + 60
-        while not made:
-            assert time.monotonic() < give_up
-            time.sleep(0.01)
+        until(lambda: made)
         time.sleep(0.1)  # the others arrive
         may.set()
         assert {one.result().status_code for one in asked} == {200}
