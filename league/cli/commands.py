@@ -65,6 +65,8 @@ GROUPS = {
 }
 """All commands in groups, in the order of the help: where their classes are in this package. Only
 the one that runs is imported."""
+PARSING = (tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone)
+"""Fields of a command's parts are flags of its own; what may be left out cannot be given None."""
 COMMANDS = {name: place for group in GROUPS.values() for name, place in group.items()}
 _SIMULATING = {
     "race", "evaluate", "reward", "verify", "submit", "run", "work", "serve", "audit", "gauntlet",
@@ -127,5 +129,5 @@ def _parsed(arguments: list[str]) -> Any:  # noqa: ANN401
         command_class(name),
         prog=f"league {name}",
         args=arguments[1:],
-        config=(tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone),
+        config=PARSING,
     )

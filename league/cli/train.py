@@ -18,6 +18,7 @@ import tyro
 from league import precompile
 from league.atomic_file import replacing
 from league.cli import lazy, train_settings
+from league.cli.commands import PARSING
 from league.cli.evaluate import print_table
 from league.errors import ConfigError, PolicyError, RewardError
 from league.subprocesses import handling
@@ -140,7 +141,7 @@ def _parsed(arguments: list[str], default: Train) -> Train:
         prog="league train",
         args=arguments,
         default=default,
-        config=(tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone),
+        config=PARSING,
     )
 
 

@@ -15,7 +15,7 @@ from league.web.reader import Document, NotFoundError, Reader, accepted, heat_nu
 from league.web.replay_data import events, player_data
 
 _Contest = tuple[int, float, int, str]
-"""How often cars passed in a race, less its gap at the end [s], its heat, and its number in it."""
+"""Passes less crashes of a race, minus its gap at the end [s], its heat, and its number in it."""
 RECENT = 60
 """Newest heats that are listed, and among which the most contested race is looked for."""
 TOP = 8
