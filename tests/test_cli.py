@@ -238,6 +238,32 @@ def test_a_mistyped_command_is_one_sentence_with_what_is_near(league):
     assert "there are audit, card" in league("--colour")[2]
 
 
+@pytest.mark.parametrize(
+    ("line", "sentence"),
+    [
+        ("race --heats 3 a b", "`league race` has no flag '--heats'; nearest: --laps, --bots"),
+        ("race a --lapse=3", "`league race` has no flag '--lapse'; nearest: --laps, --seed"),
+        ("race --laps many a", "--laps is 'many': give it a whole number; "),
+        ("train --minutes ten", "--minutes is 'ten': give it a number; "),
+        ("train --noise loud soft", "--noise is ['loud', 'soft']: give it 2 numbers; "),
+        ("train --noise 1", "--noise needs 2 numbers; "),
+        ("train --kind drag", "--kind is 'drag': give time_trial or obstacle_avoidance or "),
+        ("race a --replay", "--replay needs a value; "),
+        ("video", "REPLAY is missing; "),
+        ("cup begin", "ACTION is 'begin': give show or start; "),
+        ("h2h a b c", "`league h2h` does not take 'c'; "),
+        ("token", "it is not said what to do: give create or list or revoke; "),
+    ],
+)
+def test_a_command_line_that_cannot_be_parsed_is_one_sentence(league, line, sentence):
+    name, *arguments = line.split()
+    code, out, err = league(name, *arguments)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"league: {sentence}")
+    assert is_one_sentence(err), err
+    assert "nearest" in sentence or err.endswith(f"`league {name} --help` says more\n")
+
+
 def test_arguments_are_named(league):
     for name in commands.COMMANDS:
         text = league(name, "--help")[1]

@@ -4,14 +4,17 @@ import atexit
 import gc
 import importlib
 import inspect
+import io
 import re
 import shutil
 import sys
 import textwrap
+from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass
 from typing import Any
 
 import tyro
+from tyro import _errors as mistakes  # private to tyro, so its version is pinned
 
 from league.errors import ConfigError, brief, nearest_names
 
@@ -65,8 +68,6 @@ GROUPS = {
 }
 """All commands in groups, in the order of the help: where their classes are in this package. Only
 the one that runs is imported."""
-PARSING = (tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone)
-"""Fields of a command's parts are flags of its own; what may be left out cannot be given None."""
 COMMANDS = {name: place for group in GROUPS.values() for name, place in group.items()}
 _SIMULATING = {
     "race", "evaluate", "reward", "verify", "submit", "run", "work", "serve", "audit", "gauntlet",
@@ -115,6 +116,73 @@ def overview() -> str:
     return "\n".join([*lines, "", "`league COMMAND --help` shows what a command takes."])
 
 
+def parse(kind: type, name: str, arguments: list[str], default: Any = None) -> Any:  # noqa: ANN401
+    """Return the command of a class, as a command line sets it.
+
+    `default` is a command that has the defaults; ConfigError says what cannot be parsed.
+    """
+
+    def refuse(event: mistakes.ParseErrorEvent) -> None:
+        if isinstance(event, mistakes.UnrecognizedArgs):
+            raise ConfigError(_unknown(event.tokens, kind, name))
+        if sentence := _mistake(event):
+            raise ConfigError(f"{sentence}; `league {name} --help` says more")
+
+    with mistakes.on_parse_error(refuse):
+        return tyro.cli(
+            kind,
+            prog=f"league {name}",
+            args=arguments,
+            default=default,
+            # Fields of a command's parts are flags of its own; what may be left out cannot be None.
+            config=(tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone),
+        )
+
+
+def _unknown(tokens: list[str], kind: type, name: str) -> str:
+    flag = next((token.partition("=")[0] for token in tokens if token.startswith("-")), None)
+    if flag is None:
+        return f"`league {name}` does not take {brief(tokens[0])}; `league {name} --help` says more"
+    with redirect_stdout(io.StringIO()) as shown, suppress(SystemExit):
+        parse(kind, name, ["--help"])
+    flags = set(re.findall(r"--[a-z-]+", shown.getvalue())) - {"--help"}
+    nearest = nearest_names(flag, sorted(flags))
+    return f"`league {name}` has no flag {brief(flag)}; {nearest}"
+
+
+def _mistake(event: mistakes.ParseErrorEvent) -> str | None:
+    """Return what is wrong with a value, or None for what tyro itself explains."""
+    match event:
+        case mistakes.InvalidChoice(argument=argument, value=value, choices=choices):
+            return f"{_flag(argument)} is {brief(value)}: give {' or '.join(choices)}"
+        case mistakes.BadValue(argument=argument):
+            return f"{_flag(argument)} needs {_expected(argument)}"
+        case mistakes.InstantiationFailure(argument=argument, message=message) if argument:
+            value = re.search(r"\[[^]]*\]|'.*'", message)  # in tyro's or Python's own message
+            given = value[0] if value else "no such value"
+            return f"{_flag(argument)} is {given[:80]}: give it {_expected(argument)}"
+        case mistakes.MissingArgs(missing_arguments=[first, *_]):
+            return f"{_flag(first.arg)} is missing"
+        case mistakes.MissingSubcommand(subcommand_spec=choice):
+            return f"it is not said what to do: give {' or '.join(choice.parser_from_name)}"
+        case _:
+            return None
+
+
+def _flag(argument: Any) -> str:  # noqa: ANN401
+    """Return how an argument is called on the command line."""
+    lowered = argument.lowered
+    return lowered.metavar.strip("[]") if argument.is_positional() else lowered.name_or_flags[0]
+
+
+def _expected(argument: Any) -> str:  # noqa: ANN401
+    """Return in words what an argument takes."""
+    kinds = {"INT": "whole number", "FLOAT": "number", "PATH": "path"}
+    taken = argument.lowered.metavar.split()
+    word = kinds.get(taken[0], "value")
+    return f"{len(taken)} {word}s" if len(taken) > 1 else f"a {word}"
+
+
 def _parsed(arguments: list[str]) -> Any:  # noqa: ANN401
     if arguments[:1] == ["train"]:
         from league.cli import train
@@ -125,9 +193,4 @@ def _parsed(arguments: list[str]) -> Any:  # noqa: ANN401
             f"there is no command {brief(name)}; {nearest_names(name, list(COMMANDS))}; "
             "`league --help` says what each does"
         )
-    return tyro.cli(
-        command_class(name),
-        prog=f"league {name}",
-        args=arguments[1:],
-        config=PARSING,
-    )
+    return parse(command_class(name), name, arguments[1:])

@@ -17,8 +17,7 @@ import tyro
 
 from league import precompile
 from league.atomic_file import replacing
-from league.cli import lazy, train_settings
-from league.cli.commands import PARSING
+from league.cli import commands, lazy, train_settings
 from league.cli.evaluate import print_table
 from league.errors import ConfigError, PolicyError, RewardError
 from league.subprocesses import handling
@@ -116,7 +115,7 @@ def parse(arguments: list[str]) -> Train:
     Arguments are read twice: some flags, such as --resume, decide what the others' defaults are.
     """
     arguments = _with_new_names(arguments)
-    command = _parsed(arguments, Train())
+    command = commands.parse(Train, "train", arguments)
     if command.out.suffix != ".pt":
         raise ConfigError(f"--out is {command.out}: give the name of a checkpoint, NAME.pt")
     if command.out.is_dir():
@@ -124,7 +123,7 @@ def parse(arguments: list[str]) -> Train:
     if command.resume and command.overwrite:
         raise ConfigError("--resume goes on and --overwrite starts a new run: give one of them")
     default = train_settings.defaults(command)
-    command = _parsed(arguments, replace(command, cfg=default))
+    command = commands.parse(Train, "train", arguments, replace(command, cfg=default))
     parent = train_settings.parent_path(command.cfg.init_from)
     command = replace(command, cfg=replace(command.cfg, init_from=parent))
     if command.resume:
@@ -133,16 +132,6 @@ def parse(arguments: list[str]) -> Train:
     command = replace(command, cfg=train_settings.finished(command))
     _refuse_taken(command)
     return command
-
-
-def _parsed(arguments: list[str], default: Train) -> Train:
-    return tyro.cli(
-        Train,
-        prog="league train",
-        args=arguments,
-        default=default,
-        config=PARSING,
-    )
 
 
 def _with_new_names(arguments: list[str]) -> list[str]:
