@@ -56,6 +56,8 @@ def measure(path: str, cfg: DuelConfig) -> None:
     )
     figure("contacts to blame for per km near others", contacts / near, "", 1.0, most=True)
     figure("such contacts above 0.3 m/s per km", hard / near, "", 0.2, most=True)
+    at_start = sum(one.hard_at_start for one in tried)
+    figure("  of these in the first three seconds", 100 * at_start / max(hard, 1), "%")
     passes = sum(one.passed * one.races for one in tried)
     figure("off-tracks per pass", sum(one.off_tracks for one in tried) / max(passes, 1.0), "")
     for name, rival in (("racing_line", "racing_line"), ("the duelist of before", str(BEFORE))):

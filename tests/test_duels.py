@@ -58,9 +58,17 @@ def test_from_the_last_place_all_others_count():
 
 def test_who_passes_by_ramming_does_not_pass_cleanly():
     found = duels.from_behind(CFG, (Lane(0.0), Lane(0.0)), (0.4, 1.0))
-    assert found.contacts > 0 and found.hard_contacts > 0
+    assert found.contacts > 0 and found.hard_contacts > 0 and found.hard_at_start == 0
     assert found.clean == 0.0
     assert found.contacts > 0 and found.near_km > 0.0
+
+
+def test_hits_of_the_start_are_counted(monkeypatch):
+    field = Lane(0.0, speed=-0.9), Lane(0.0)  # they meet after 4.5 s, and in each lap again
+    assert duels.from_behind(CFG, field, (1.0, 1.0)).hard_at_start == 0
+    monkeypatch.setattr(duels, "_START_S", 6.0)
+    found = duels.from_behind(CFG, (Lane(0.0, speed=-0.9), Lane(0.0)), (1.0, 1.0))
+    assert 0 < found.hard_at_start < found.hard_contacts
 
 
 def test_the_threshold_lies_between_what_succeeds_and_what_fails(monkeypatch):
@@ -69,7 +77,7 @@ def test_the_threshold_lies_between_what_succeeds_and_what_fails(monkeypatch):
     def raced(cfg, field, top_speeds):
         tried.append(top_speeds[0])
         clean = float(top_speeds[0] < 0.83)
-        return Duels(6, clean, 0.0, clean, 1.0 - clean, clean, 0.1, 1, 0, 0)
+        return Duels(6, clean, 0.0, clean, 1.0 - clean, clean, 0.1, 1, 0, 0, 0)
 
     monkeypatch.setattr(duels, "from_behind", raced)
     monkeypatch.setattr(duels, "solo_lap", lambda cfg, driver, top_speed=1.0: 5.0 / top_speed)

@@ -29,6 +29,7 @@ VARIATION = 3.0
 """How far cars differ, as a multiple of a league's heats: grip and mass by 6 %, the steering's zero
 by 0.015 rad; and they start at up to 0.5 m/s. With less, 200 races are a few."""
 _SEED = 501
+_START_S = 3.0  # until when hits are those of the start
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,7 @@ class Duels:
     near_km: float  # distance the attacker drove within 1.5 m of another car [km]
     contacts: int  # contacts the attacker was to blame for
     hard_contacts: int  # those hard enough for a penalty: from 0.3 m/s of closing speed on
+    hard_at_start: int  # those of them in the first three seconds
     off_tracks: int  # how often the attacker left the road
 
 
@@ -83,7 +85,7 @@ def from_behind(cfg: DuelConfig, field: Sequence[Driver], top_speeds: Sequence[f
     cars, last = env.world.cars, len(field) - 1
     cars["top_speed"] = np.array(top_speeds, np.float32) * env.cfg.sim.car.max_speed
     over, near_m = np.zeros(cfg.races, np.bool_), 0.0
-    contacts, hard, off = (np.zeros(cars.shape, np.int64) for _ in range(3))
+    contacts, hard, early, off = (np.zeros(cars.shape, np.int64) for _ in range(4))
     touching = np.zeros(cars.shape, np.bool_)
     end = env.world.worlds["last_step"].max()
     while not over.all() and env.world.worlds["step"].max() < end:
@@ -91,6 +93,7 @@ def from_behind(cfg: DuelConfig, field: Sequence[Driver], top_speeds: Sequence[f
         seen, going = step.verdicts, ~over[:, None]
         contacts += seen["to_blame"] & ~touching & going
         hard += seen["crashed"] & going
+        early += seen["crashed"] & going & (env.time_s <= _START_S)[:, None]
         off += (seen["off_track"] | seen["pushed_off"]) & going
         touching = seen["to_blame"].copy()
         gaps = env.tracks.signed_gap(env.world.track, cars["s"][:, :last], cars["s"][:, last:])
@@ -113,6 +116,7 @@ def from_behind(cfg: DuelConfig, field: Sequence[Driver], top_speeds: Sequence[f
         near_km=near_m / 1000.0,
         contacts=int(contacts[:, last].sum()),
         hard_contacts=int(hard[:, last].sum()),
+        hard_at_start=int(early[:, last].sum()),
         off_tracks=int(off[:, last].sum()),
     )
 
