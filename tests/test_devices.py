@@ -222,7 +222,7 @@ def test_episodes_are_told_of_rows_of_another_device():
             episodes.add(
                 torch.ones(2, device=device),
                 torch.tensor([1, 0], device=device),
-                {"driven": torch.tensor(driven, device=device)},
+                torch.tensor(driven, device=device),
             )
         return episodes.completion, episodes.earned
 

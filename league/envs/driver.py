@@ -66,6 +66,30 @@ class Opponents:
         return filled
 
 
+class Guests:
+    """Drivers of one car in the first worlds, each in some of them; others drive it in the rest."""
+
+    def __init__(self, drivers: Sequence[tuple[int, Driver]]) -> None:
+        """Take in how many worlds each driver has the car, and the driver."""
+        ends = np.cumsum([0, *(number for number, _ in drivers)]).tolist()
+        self.num_worlds: int = ends[-1]
+        worlds = (slice(*ends[k : k + 2]) for k in range(len(drivers)))
+        self._drivers = list(zip(worlds, (driver for _, driver in drivers), strict=True))
+
+    def reset(self, worlds: np.ndarray | None) -> None:
+        """Clear the memory of some worlds (indices); None clears all of it."""
+        for its, driver in self._drivers:
+            if worlds is None:
+                driver.reset(None)
+            elif len(mine := worlds[(worlds >= its.start) & (worlds < its.stop)]):
+                driver.reset(mine - its.start)
+
+    def drive(self, actions: np.ndarray, observations: Mapping[str, np.ndarray]) -> None:
+        """Overwrite the car's actions (num_worlds, 2) in the worlds in which they have it."""
+        for its, driver in self._drivers:
+            actions[its] = driver.act({name: group[its] for name, group in observations.items()})
+
+
 def check_field(
     cfg: EnvConfig, learners: Sequence[int], drivers: Mapping[int, Driver | str]
 ) -> None:

@@ -20,14 +20,21 @@ PRESETS = {
     "centerline": RewardConfig(progress=0.0, centerline=1.0, off_track=0.0, crash=0.0),
     "progress": RewardConfig(progress=3.0, off_track=-3.0, crash=-3.0),
     "race": RewardConfig(
-        progress=1.0, gain=3.0, overtake=4.0, off_track=-12.0, crash=-2.0, touch=-0.5, closing=-6.0
+        progress=1.0,
+        gain=3.0,
+        overtake=4.0,
+        off_track=-12.0,
+        crash=-2.0,
+        touch=-0.5,
+        closing=-6.0,
+        contact=-4.0,
     ),
 }
 """Ready weights by name. `progress` is of order 1 for a step (4 m/s are 0.27 m, or 0.8), and a
 mistake costs what a second of racing earns. In `race` a metre gained on a rival nearby is worth
 three of the own way, a pass two seconds of racing, and leaving the road more than any pass;
-touching costs little and running into another car much, or passing is never learnt
-(docs/self_play.md)."""
+touching costs little and running into another car much, or passing is never learnt. Being hit costs
+what a pass earns, so that cars leave room (docs/self_play.md)."""
 
 TERMS = tuple(item.name for item in fields(RewardConfig))  # names of the built-in terms, in order
 NEAR = f32(1.5)

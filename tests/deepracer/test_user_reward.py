@@ -423,7 +423,7 @@ def test_built_in_reward_is_what_an_environment_pays_by_default():
 def test_presets_are_named_and_others_refused():
     assert rewards.preset("centerline").terms == ("centerline",)
     assert rewards.preset("progress").terms == ("progress", "off_track", "crash")
-    racing = {"progress", "overtake", "gain", "off_track", "crash", "touch", "closing"}
+    racing = {"progress", "overtake", "gain", "off_track", "crash", "touch", "closing", "contact"}
     assert set(rewards.preset("race").terms) == racing
     with pytest.raises(ConfigError, match="nearest: centerline"):
         rewards.preset("centreline")

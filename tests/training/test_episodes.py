@@ -17,7 +17,7 @@ def step(
     episodes.add(
         torch.tensor(rewards or [1.0] * rows),
         torch.tensor(over or [0] * rows),
-        {"driven": torch.tensor(driven)},
+        torch.tensor(driven),
     )
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from league.agents import roster
 from league.envs.rewards import PRESETS
@@ -120,6 +121,32 @@ def test_all_cars_learn_from_the_true_state(small):
     assert any(not np.array_equal(before[name], after[name]) for name in before)
 
 
+def test_scripted_drivers_have_the_last_car_in_the_first_stage(small, monkeypatch):
+    monkeypatch.setattr("league.training.config._RACING_ROWS", 24)
+    made = make_racing(RING, replace(small, sensors=SensorConfig(truth=True), num_cars=3))
+    worlds = made.env.race_env
+    seen = {name: group.copy() for name, group in worlds.observations[2].items()}
+    made.env.step(torch.full((24, made.env.num_actions), 0.25))
+    names = ["racing_line"] * 2 + ["centerline", "cautious", "blocker"]
+    for world, name in enumerate(names):
+        expected = roster.load(name, RING, self_play.CAR).act(seen)[world]
+        assert worlds.last_action[world, 2] == pytest.approx(expected, abs=1e-6), name
+    assert worlds.last_action[5:, 2, 0] == pytest.approx(0.25)
+    assert worlds.last_action[:, :2, 0] == pytest.approx(0.25)
+    # Their rows are left out of everything that is learnt or logged.
+    assert made.env.num_learning == 24 - 5
+    assert torch.nonzero(~made.env.learning)[:, 0].tolist() == [2, 5, 8, 11, 14]
+    seen = []
+    monkeypatch.setattr(made._alg, "update", lambda: seen.append(made._alg.storage) or {})
+    update = made.update(0.0)
+    (storage,) = seen
+    theirs = ~made.env.learning
+    assert not storage.advantages[:, theirs].any()
+    assert torch.equal(storage.returns[:, theirs], storage.values[:, theirs])
+    assert storage.advantages[:, made.env.learning].any()
+    assert update.samples == 19 * made.cfg.ppo.rollout
+
+
 def test_a_camera_driver_learns_from_the_racer_and_against_it(small):
     made = make_racing(RING, small)
     assert isinstance(made, RacingLearner)
@@ -144,9 +171,10 @@ def test_scripted_drivers_have_the_other_cars_of_some_worlds(small):
     (slow, (name,)), (fast, names) = self_play.SCRIPTED
     assert (8 * slow, 8 * fast, len(names)) == (2, 1, 3)
     for car in (1, 2):
-        actions = self_play.Rival(made.racer, RING, car).act(worlds.observations[car])
+        guests = self_play.scripted_drivers(self_play.SCRIPTED, RING, car, 8)
+        actions = self_play.Rival(made.racer, guests).act(worlds.observations[car])
         for driver, expected in ((name, [0, 1]), (names[car - 1], [2])):
-            scripted = roster.load(driver, RING, made.racer.car).act(worlds.observations[car])
+            scripted = roster.load(driver, RING, self_play.CAR).act(worlds.observations[car])
             same = np.flatnonzero((actions == scripted).all(axis=1))
             assert same.tolist() == expected
 
@@ -159,7 +187,8 @@ def test_the_racer_drives_all_other_cars_where_there_are_several_tracks(small):
 
 def test_the_racer_drives_the_other_cars(small):
     made = make_racing(RING, small)
-    rival = self_play.Rival(made.racer, RING, 1)
+    guests = self_play.scripted_drivers(self_play.SCRIPTED, RING, 1, 4)
+    rival = self_play.Rival(made.racer, guests)
     actions = rival.act(made.env.race_env.observations[1])
     assert actions.shape == (4, 2) and np.abs(actions).max() <= 1.0
     last = algorithm(made.racer).get_policy().mlp[-1]

@@ -16,7 +16,7 @@ from league.envs import make
 from league.envs.actions import SIZE, ActionSpace, finite, to_actions
 from league.envs.adapters import load_drivers, load_reward
 from league.envs.config import EnvConfig, RewardConfig
-from league.envs.driver import Driver, Opponents, check_field
+from league.envs.driver import Driver, Guests, Opponents, check_field
 from league.envs.make import EnvOptions
 from league.envs.race_env import RaceEnv, Step
 from league.envs.scenarios import CLEAN, NO_ATTACK, PASSED
@@ -51,6 +51,7 @@ class RacingVecEnv(VecEnv):
         num_worlds: int = 64,
         learners: Sequence[int] = (0,),
         opponents: Mapping[int, Driver | str] | None = None,
+        guests: Mapping[int, Guests] | None = None,
         action_space: ActionSpace | None = None,
         as_bytes: bool = False,
         seed: int = 0,
@@ -70,6 +71,7 @@ class RacingVecEnv(VecEnv):
             learners: cars that learn, all with the same sensors.
             opponents: driver, or its name, of each other car; without `cfg` by default one follows
                 the centreline in a head_to_head race.
+            guests: drivers of learners' cars in the first worlds; there these cars do not learn.
             action_space: what the rows' actions mean; None: steering and speed in [-1, 1].
             as_bytes: keep pictures as bytes, a quarter of the memory, for networks that scale them.
             seed: makes the worlds' seeds.
@@ -134,6 +136,13 @@ class RacingVecEnv(VecEnv):
         )
         self._as_bytes = as_bytes
         self._columns = list(self.learners)
+        self._guests = dict(guests or {})
+        learning = np.ones((num_worlds, len(self.learners)), np.bool_)
+        for car, guest in self._guests.items():
+            learning[: guest.num_worlds, self.learners.index(car)] = False
+        self.learning = torch.from_numpy(learning.ravel()).to(self.device)
+        """Rows that a learner drives, bool (num_envs,): all but those of guests."""
+        self.num_learning = int(learning.sum())
         self.num_envs = num_worlds * len(self.learners)
         self.action_space = action_space
         self.num_actions = SIZE if action_space is None else action_space.size
@@ -150,6 +159,8 @@ class RacingVecEnv(VecEnv):
             track_index: other tracks than before for the worlds, (num_worlds,).
         """
         self._opponents.reset()
+        for guest in self._guests.values():
+            guest.reset(None)
         self._env.reset(seed=seed, track_index=track_index)
         self._laps_driven = torch.zeros(self.num_envs, device=self.device)
         return self.get_observations()
@@ -194,8 +205,8 @@ class RacingVecEnv(VecEnv):
 
         Returns:
             Observations after restarts, rewards (num_envs,), dones (num_envs,) int64, and extras:
-            `time_outs`, rows cut off by the time limit alone; `log`, means over the rows; and
-            `driven`, laps that each row has driven in its episode, before any restart.
+            `time_outs`, rows cut off by the time limit alone; `log`, means over the rows that
+            learn; and `driven`, laps that each row has driven in its episode, before any restart.
 
         Raises:
             ActionError: no tensor of numbers, the wrong shape, NaN or infinity.
@@ -206,10 +217,14 @@ class RacingVecEnv(VecEnv):
         driven = self._env.last_action
         driven[:, self._columns] = rows.clip(-1.0, 1.0).reshape(-1, len(self.learners), SIZE)
         driven = self._opponents.act(driven, self._env.observations)
+        for car, guest in self._guests.items():
+            guest.drive(driven[:, car], self._env.observations[car])
         step = self._env.step(driven)
         if self.watch is not None:
             self.watch(self._env.world)
         self._opponents.forget(step.began)
+        for car, guest in self._guests.items():
+            guest.reset(np.flatnonzero(step.began[:, car]))
         dones = self._rows(step.terminated | step.truncated).to(torch.int64)
         lengths = self._env.tracks.length[self._env.world.track].repeat(len(self.learners))
         laps = self._rows(step.verdicts["advance"]) / torch.from_numpy(lengths).to(self.device)
@@ -248,4 +263,5 @@ class RacingVecEnv(VecEnv):
         return log
 
     def _mean(self, values: np.ndarray) -> Tensor:
-        return self._rows(values).to(torch.float32).mean()
+        rows = self._rows(values).to(torch.float32)
+        return rows[self.learning].mean() if self._guests else rows.mean()

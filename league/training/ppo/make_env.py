@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig, Scenarios
-from league.envs.driver import Driver
+from league.envs.driver import Driver, Guests
 from league.envs.rewards import Reward
 from league.errors import ConfigError, brief
 from league.sim.config import (
@@ -126,11 +126,13 @@ def make(
     cfg: TrainConfig,
     *,
     opponents: Mapping[int, Driver | str] | None = None,
+    guests: Mapping[int, Guests] | None = None,
     reward: Reward | None = None,
 ) -> RacingVecEnv:
     """Build the worlds: in each, the cars without an opponent's driver learn.
 
-    Opponents are by the number of the car; `reward`, in Python, replaces that of the settings.
+    Opponents are by the number of the car, as are guests, which have learners' cars in some
+    worlds; `reward`, in Python, replaces that of the settings.
     """
     settings = env_config(cfg)
     if opponents and settings.scenarios is not None:
@@ -143,6 +145,7 @@ def make(
         num_worlds=cfg.num_worlds,
         learners=[car for car in range(cfg.num_cars) if car not in (opponents or {})],
         opponents=opponents,
+        guests=guests,
         action_space=cfg.action_space,
         reward=reward,
         as_bytes=True,

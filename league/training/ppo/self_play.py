@@ -18,10 +18,10 @@ from tensordict import TensorDict
 
 from league.agents import roster
 from league.envs.actions import to_actions
-from league.envs.driver import Driver
+from league.envs.driver import Driver, Guests
 from league.envs.race_env import RaceEnv
 from league.envs.rewards import PRESETS, Reward
-from league.sim.config import SensorConfig
+from league.sim.config import CarConfig, SensorConfig
 from league.track.track import TrackSet
 from league.training.config import TrainConfig
 from league.training.ppo import make_env
@@ -38,13 +38,22 @@ FIRST_PACE, LEAST_PACE, RANGE = 0.70, 0.60, 0.25
 """Largest top speed of rivals at first and at least, and how far below it the smallest lies."""
 DEAR = 6.0  # Price of a contact at the end of a stage, in its first: more than a pass earns.
 SPREAD = 0.5  # Least randomisation of the cars; see TrainConfig.
-SCRIPTED: tuple[tuple[float, tuple[str, ...]], ...] = (
+Scripted = tuple[tuple[float, tuple[str, ...]], ...]
+FIRST_SCRIPTED: Scripted = (
+    (0.25, ("racing_line",)),
+    (0.125, ("centerline",)),
+    (0.125, ("cautious",)),
+    (0.125, ("blocker",)),
+)
+"""Shares of the worlds of the first stage in which scripted drivers have the last car. As being hit
+costs, too, cars learn to make way, and to rely on it; scripted drivers never make way."""
+SCRIPTED: Scripted = (
     (0.25, ("centerline",)),
     (0.125, ("racing_line", "cautious", "blocker")),
 )
-"""Shares of the worlds of a policy with its own sensors in which scripted drivers have the other
-cars, in turn. The racer drives slow cars well; others brake for bends and keep to lines of their
-own."""
+"""The same of the worlds of a policy with its own sensors, where the other cars have these in turn.
+The racer drives slow cars well; others brake for bends and keep to lines of their own."""
+CAR = CarConfig()  # All cars in training.
 _LATELY = 100.0  # Attacks after which what is known about earlier ones counts half.
 
 _KEPT = ("pace", "share", "attacks", "passed", "clean")  # what a curriculum's state is made of
@@ -110,34 +119,31 @@ class Rival:
 
     sensors = SensorConfig(truth=True)
 
-    def __init__(self, racer: Racer, tracks: TrackSet, car: int) -> None:
-        """Take the racer, which goes on learning, the tracks of the worlds, and which car it is.
-
-        Scripted drivers know one track: on several the racer drives in all worlds.
-        """
-        self.name, self._racer = "racer", racer
-        self._scripted = [
-            (share, roster.load(names[(car - 1) % len(names)], tracks, racer.car))
-            for share, names in (SCRIPTED if len(tracks.tracks) == 1 else ())
-        ]
+    def __init__(self, racer: Racer, scripted: Guests) -> None:
+        """Take the racer, which goes on learning, and the scripted drivers of this car."""
+        self.name, self._racer, self._scripted = "racer", racer, scripted
 
     def reset(self, rows: np.ndarray | None) -> None:
-        """Clear the scripted drivers' memory; the racer remembers nothing."""
-        for _, driver in self._scripted:
-            driver.reset(rows)
+        """Clear the scripted drivers' memory of some worlds; the racer remembers nothing."""
+        self._scripted.reset(rows)
 
     def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return actions [steering, speed] in [-1, 1], float32 (num_worlds, 2)."""
         groups = {name: torch.from_numpy(observations[name].copy()) for name in Racer.groups}
-        rows = len(groups["motion"])
-        answer = self._racer.targets(TensorDict(groups, batch_size=[rows]))
-        actions = to_actions(self._racer.cfg.action_space, answer.numpy(), self._racer.car)
-        first = 0
-        for share, driver in self._scripted:
-            last = first + round(share * rows)
-            actions[first:last] = driver.act(observations)[first:last]
-            first = last
+        answer = self._racer.targets(TensorDict(groups, batch_size=[len(groups["motion"])]))
+        actions = to_actions(self._racer.cfg.action_space, answer.numpy(), CAR)
+        self._scripted.drive(actions, observations)
         return actions
+
+
+def scripted_drivers(scripted: Scripted, tracks: TrackSet, car: int, num_worlds: int) -> Guests:
+    """Load the scripted drivers of a car; none on several tracks, because each knows one."""
+    return Guests(
+        [
+            (round(share * num_worlds), roster.load(names[(car - 1) % len(names)], tracks, CAR))
+            for share, names in (scripted if len(tracks.tracks) == 1 else ())
+        ]
+    )
 
 
 class _OnCurriculum(Learner):
@@ -160,9 +166,10 @@ class Racer(_OnCurriculum, Teacher):
 
     def __init__(self, tracks: TrackSet, cfg: TrainConfig) -> None:
         """Build its worlds and networks, of settings that `TrainConfig.on_truth` returned."""
-        super().__init__(make_env.make(tracks, cfg), cfg)
-        self.car = self.env.cfg.sim.car
-        self.curriculum = Curriculum(self.env.num_envs * cfg.ppo.rollout)
+        last = cfg.num_cars - 1
+        guests = {last: scripted_drivers(FIRST_SCRIPTED, tracks, last, cfg.num_worlds)}
+        super().__init__(make_env.make(tracks, cfg, guests=guests), cfg)
+        self.curriculum = Curriculum(self.env.num_learning * cfg.ppo.rollout)
 
     def update(self, share: float) -> Update:
         """Collect one round of steps and learn from it; see Learner."""
@@ -179,7 +186,8 @@ class RacingLearner(_OnCurriculum, TaughtLearner):
         The racer learns in worlds of its own; `settings` are those of make_env.make.
         """
         rivals: dict[int, Driver | str] = {
-            car: Rival(racer, tracks, car) for car in range(1, cfg.num_cars)
+            car: Rival(racer, scripted_drivers(SCRIPTED, tracks, car, cfg.num_worlds))
+            for car in range(1, cfg.num_cars)
         }
         env = make_env.make(tracks, cfg, opponents=rivals, **settings)
         super().__init__(env, cfg, racer)

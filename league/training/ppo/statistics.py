@@ -6,7 +6,6 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -49,14 +48,14 @@ class EpisodeStatistics:
         self._end(running, cut=True)
         self._clear()
 
-    def add(self, rewards: Tensor, dones: Tensor, extras: dict[str, Any]) -> None:
+    def add(self, rewards: Tensor, dones: Tensor, driven: Tensor) -> None:
         """Add one step of all rows; all are (num_rows,).
 
-        `dones` is 1 where an episode of the worlds has ended; `extras` has `driven`, laps since.
+        `dones` is 1 where an episode of the worlds has ended; `driven` are laps since.
         """
         self._reward = self._reward + rewards.to("cpu")
         self._steps = self._steps + 1
-        self._driven = extras["driven"].to("cpu")
+        self._driven = driven.to("cpu")
         over = dones.to("cpu") > 0
         lap = self._driven >= self._laps + 1.0
         ended = over | lap
