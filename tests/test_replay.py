@@ -234,6 +234,18 @@ def test_the_chase_follows_the_rear_car_of_a_fight_and_then_the_leader():
     assert path.x[-1] == pytest.approx(10.0)  # 4 m behind: the leader alone
 
 
+@pytest.mark.parametrize(("gap", "moved_by"), [(0.2, 0.25), (0.525, 0.125), (0.8, 0.0)])
+def test_the_chase_stands_farther_back_between_two_cars_side_by_side(gap, moved_by):
+    def driven(world, number):
+        # Both head for +y; the front one is half a metre to the right.
+        ahead = {"x": [0.5, 0.0], "y": [3.0 + gap, 3.0], "yaw": [np.pi / 2] * 2}
+        return moved(world, distance=[3.0 + gap, 3.0], **ahead)
+
+    path = broadcast.chase_path(by_hand(60, driven))
+    assert path.x == pytest.approx(moved_by, abs=1e-4)
+    assert path.y == pytest.approx(3.0 - moved_by, abs=1e-4)
+
+
 def test_the_chase_of_a_pursuit_follows_the_winner_and_does_not_jump_round_the_lap():
     def driven(world, number):
         distance = [5.0, 5.0 + 0.1 * (-1) ** number]  # in turn ahead, half a lap apart

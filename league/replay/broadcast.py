@@ -388,11 +388,14 @@ class ChasePath:
 
 
 def chase_path(replay: Replay) -> ChasePath:
-    """Return where to chase from: behind the rear car of the fight that is shown."""
+    """Return where to chase from: behind the rear car of the fight that is shown.
+
+    Where two are side by side, from farther behind the middle between them: neither is cut off.
+    """
     from scipy.ndimage import gaussian_filter1d  # late: SciPy takes a while
 
     columns, director = replay.columns, Director()
-    subject = np.empty(replay.num_frames, np.int64)
+    subject, rival = (np.empty(replay.num_frames, np.int64) for _ in range(2))
     take, fights = np.zeros(replay.num_frames, np.int64), []
     for frame, (time_s, cars) in enumerate(moments(replay)):
         before, shot = director.shot, director.add(time_s, cars)
@@ -400,7 +403,7 @@ def chase_path(replay: Replay) -> ChasePath:
             # A gap of nothing may be half a lap of road: the winner is followed.
             winner = replay.result.order[0].car
             shot = Shot(winner, winner, 0.0)
-        subject[frame] = shot.rear
+        subject[frame], rival[frame] = shot.rear, shot.front
         fights.append(shot.sentence(replay.names, cars))
         cut = before is not None and before.since_s != shot.since_s > 0.0
         # A short way is gone rather than cut: a jump by a car's length looks like a fault.
@@ -411,6 +414,12 @@ def chase_path(replay: Replay) -> ChasePath:
     rows, sigma = np.arange(replay.num_frames), SMOOTHING_S * replay.step_hz
     x, y = columns.x[rows, subject], columns.y[rows, subject]
     yaw = columns.yaw[rows, subject]
+    gap = np.abs(columns.distance[rows, subject] - columns.distance[rows, rival])
+    aside_x, aside_y = columns.x[rows, rival] - x, columns.y[rows, rival] - y
+    aside = np.cos(yaw) * aside_y - np.sin(yaw) * aside_x  # how far left the other one is [m]
+    aside *= 0.5 * (2.0 - 2.0 * gap / ATTACK).clip(0.0, 1.0)
+    x -= aside * np.sin(yaw) + np.abs(aside) * np.cos(yaw)
+    y += aside * np.cos(yaw) - np.abs(aside) * np.sin(yaw)
     for number in range(int(take[-1]) + 1):
         within = take == number
         x[within] = gaussian_filter1d(x[within], sigma / 3, mode="nearest")
