@@ -93,7 +93,8 @@ def test_a_race_that_plays_leaves_a_screen_reader_where_it_is(browser, origin, c
     assert float(slider.input_value()) > float(focused[0]) + 1
     sought = slider.input_value()
     expect(slider).not_to_have_value(sought, timeout=20_000)
-    assert abs(float(slider.input_value()) - float(sought)) > 4.9
+    found = float(slider.input_value())
+    assert found > float(sought) + 4.9 or found < 0.5  # the race may have begun again by then
     assert complaints == []
 
 
