@@ -67,10 +67,10 @@ class Opponents:
 
 
 class Guests:
-    """Drivers of one car in the first worlds, each in some of them; others drive it in the rest."""
+    """Drivers of one car in the first worlds, each in worlds of its own, and not in the rest."""
 
     def __init__(self, drivers: Sequence[tuple[int, Driver]]) -> None:
-        """Take in how many worlds each driver has the car, and the driver."""
+        """Take pairs of a number of worlds and the driver that has the car in them, in order."""
         ends = np.cumsum([0, *(number for number, _ in drivers)]).tolist()
         self.num_worlds: int = ends[-1]
         worlds = (slice(*ends[k : k + 2]) for k in range(len(drivers)))
