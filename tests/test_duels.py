@@ -67,7 +67,7 @@ def test_hits_of_the_start_are_counted(monkeypatch):
     field = Lane(0.0, speed=-0.9), Lane(0.0)  # they meet after 4.5 s, and in each lap again
     assert duels.from_behind(CFG, field, (1.0, 1.0)).hard_at_start == 0
     monkeypatch.setattr(duels, "_START_S", 6.0)
-    found = duels.from_behind(CFG, (Lane(0.0, speed=-0.9), Lane(0.0)), (1.0, 1.0))
+    found = duels.from_behind(CFG, field, (1.0, 1.0))
     assert 0 < found.hard_at_start < found.hard_contacts
 
 

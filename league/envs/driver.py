@@ -29,43 +29,6 @@ class Driver(Protocol):
         ...
 
 
-class Opponents:
-    """The drivers of the cars that do not learn, by car."""
-
-    def __init__(self, drivers: Mapping[int, Driver]) -> None:
-        if len({id(driver) for driver in drivers.values()}) < len(drivers):
-            raise ConfigError(
-                "one driver object is given for two cars, and would mix their memories: "
-                "give one object for each car"
-            )
-        self._drivers = dict(drivers)
-
-    @property
-    def cars(self) -> tuple[int, ...]:
-        """Cars that are driven."""
-        return tuple(self._drivers)
-
-    def reset(self) -> None:
-        """Clear the memories of all drivers."""
-        for driver in self._drivers.values():
-            driver.reset(None)
-
-    def forget(self, began: np.ndarray) -> None:
-        """Clear the memories of worlds in which a driver's car restarts, bool (worlds, cars)."""
-        for car, driver in self._drivers.items():
-            if began[:, car].any():
-                driver.reset(np.flatnonzero(began[:, car]))
-
-    def act(
-        self, actions: np.ndarray, observations: Sequence[Mapping[str, np.ndarray]]
-    ) -> np.ndarray:
-        """Return a copy of the actions (worlds, cars, 2), those of the driven cars filled in."""
-        filled = actions.copy()
-        for car, driver in self._drivers.items():
-            filled[:, car] = driver.act(observations[car])
-        return filled
-
-
 class Guests:
     """Drivers of one car in the first worlds, each in worlds of its own, and not in the rest."""
 
@@ -88,6 +51,49 @@ class Guests:
         """Overwrite the car's actions (num_worlds, 2) in the worlds in which they have it."""
         for its, driver in self._drivers:
             actions[its] = driver.act({name: group[its] for name, group in observations.items()})
+
+
+class Opponents:
+    """The drivers of the cars that do not learn, and of those that do not learn in some worlds."""
+
+    def __init__(
+        self, drivers: Mapping[int, Driver], guests: Mapping[int, Guests] | None = None
+    ) -> None:
+        if len({id(driver) for driver in drivers.values()}) < len(drivers):
+            raise ConfigError(
+                "one driver object is given for two cars, and would mix their memories: "
+                "give one object for each car"
+            )
+        self._drivers, self._guests = dict(drivers), dict(guests or {})
+
+    @property
+    def cars(self) -> tuple[int, ...]:
+        """Cars that are driven."""
+        return tuple(self._drivers)
+
+    def reset(self) -> None:
+        """Clear the memories of all drivers."""
+        for driver in (*self._drivers.values(), *self._guests.values()):
+            driver.reset(None)
+
+    def forget(self, began: np.ndarray) -> None:
+        """Clear the memories of worlds in which a driver's car restarts, bool (worlds, cars)."""
+        for car, driver in self._drivers.items():
+            if began[:, car].any():
+                driver.reset(np.flatnonzero(began[:, car]))
+        for car, guests in self._guests.items():
+            guests.reset(np.flatnonzero(began[:, car]))
+
+    def act(
+        self, actions: np.ndarray, observations: Sequence[Mapping[str, np.ndarray]]
+    ) -> np.ndarray:
+        """Return a copy of the actions (worlds, cars, 2), those of the driven cars filled in."""
+        filled = actions.copy()
+        for car, driver in self._drivers.items():
+            filled[:, car] = driver.act(observations[car])
+        for car, guests in self._guests.items():
+            guests.drive(filled[:, car], observations[car])
+        return filled
 
 
 def check_field(

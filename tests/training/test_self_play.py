@@ -137,7 +137,8 @@ def test_scripted_drivers_have_the_last_car_in_the_first_stage(small, monkeypatc
     assert made.env.num_learning == 24 - 5
     assert torch.nonzero(~made.env.learning)[:, 0].tolist() == [2, 5, 8, 11, 14]
     seen = []
-    monkeypatch.setattr(made._alg, "update", lambda: seen.append(made._alg.storage) or {})
+    ppo = algorithm(made)
+    monkeypatch.setattr(ppo, "update", lambda: seen.append(ppo.storage) or {})
     update = made.update(0.0)
     (storage,) = seen
     theirs = ~made.env.learning

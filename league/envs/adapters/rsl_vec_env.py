@@ -110,7 +110,7 @@ class RacingVecEnv(VecEnv):
         check_field(cfg, learners, drivers)
         loaded = load_drivers(list(drivers.values()), tracks, cfg.sim.car)
         by_car = dict(zip(drivers, loaded, strict=True))
-        self._opponents = Opponents(by_car)
+        self._opponents = Opponents(by_car, guests)
         self.learners = tuple(learners)
         carried = [
             by_car[car].sensors if car in by_car else cfg.sensors_of(car)
@@ -136,9 +136,8 @@ class RacingVecEnv(VecEnv):
         )
         self._as_bytes = as_bytes
         self._columns = list(self.learners)
-        self._guests = dict(guests or {})
         learning = np.ones((num_worlds, len(self.learners)), np.bool_)
-        for car, guest in self._guests.items():
+        for car, guest in (guests or {}).items():
             learning[: guest.num_worlds, self.learners.index(car)] = False
         self.learning = torch.from_numpy(learning.ravel()).to(self.device)
         """Rows that a learner drives, bool (num_envs,): all but those of guests."""
@@ -159,8 +158,6 @@ class RacingVecEnv(VecEnv):
             track_index: other tracks than before for the worlds, (num_worlds,).
         """
         self._opponents.reset()
-        for guest in self._guests.values():
-            guest.reset(None)
         self._env.reset(seed=seed, track_index=track_index)
         self._laps_driven = torch.zeros(self.num_envs, device=self.device)
         return self.get_observations()
@@ -217,14 +214,10 @@ class RacingVecEnv(VecEnv):
         driven = self._env.last_action
         driven[:, self._columns] = rows.clip(-1.0, 1.0).reshape(-1, len(self.learners), SIZE)
         driven = self._opponents.act(driven, self._env.observations)
-        for car, guest in self._guests.items():
-            guest.drive(driven[:, car], self._env.observations[car])
         step = self._env.step(driven)
         if self.watch is not None:
             self.watch(self._env.world)
         self._opponents.forget(step.began)
-        for car, guest in self._guests.items():
-            guest.reset(np.flatnonzero(step.began[:, car]))
         dones = self._rows(step.terminated | step.truncated).to(torch.int64)
         lengths = self._env.tracks.length[self._env.world.track].repeat(len(self.learners))
         laps = self._rows(step.verdicts["advance"]) / torch.from_numpy(lengths).to(self.device)
@@ -264,4 +257,4 @@ class RacingVecEnv(VecEnv):
 
     def _mean(self, values: np.ndarray) -> Tensor:
         rows = self._rows(values).to(torch.float32)
-        return rows[self.learning].mean() if self._guests else rows.mean()
+        return rows[self.learning].mean() if self.num_learning < len(rows) else rows.mean()
