@@ -26,7 +26,7 @@ RECORDED = {
     "boxes": "6a37e0ddcadea74d",
     "crowd": "5012b75e6d93271e",
     "meeting": "24cc78afdbc48a75",
-    "policies": "1f831a331f00e618",
+    "policies": "09b6d1ea4944e775",
     "policy": "721d124fbadbb943",
     "race": "f0970a467f4b4893",
     "scripted_bullet": "c5f8a01b3a162569",
