@@ -171,6 +171,12 @@ def test_the_camera_shows_the_closest_fight_and_not_the_leader():
     assert shot.sentence(("A", "B", "C"), scene([20.0, 10.0, 9.9])) == "C and B side by side"
 
 
+def test_cars_that_stand_for_a_penalty_are_not_shown_as_a_fight():
+    shot = shots([[20.0, 10.0, 9.9]])[0]
+    for ghost in ([1], [2], [1, 2]):
+        assert shot.sentence(("A", "B", "C"), scene([20.0, 10.0, 9.9], ghost=ghost)) == ""
+
+
 def test_without_a_fight_the_camera_shows_the_leader():
     assert {(shot.front, shot.rear) for shot in shots([[10.0, 20.0, 0.0]] * 20)} == {(1, 1)}
 

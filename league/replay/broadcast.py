@@ -306,9 +306,10 @@ class Shot:
     since_s: float  # when the shot began [s]
 
     def sentence(self, names: tuple[str, ...], cars: Cars) -> str:
-        """Return who attacks and the gap in seconds; empty where no car is near."""
+        """Return who attacks and the gap in seconds; empty if no car is near or one is a ghost."""
         gap = abs(float(cars["distance"][self.front] - cars["distance"][self.rear]))
-        if self.front == self.rear or gap > APART:
+        ghost = cars["ghost"][self.front] or cars["ghost"][self.rear]
+        if self.front == self.rear or gap > APART or ghost:
             return ""
         front, rear = names[self.front], names[self.rear]
         if gap < LEVEL:
