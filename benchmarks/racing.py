@@ -63,12 +63,12 @@ def measure(path: str, cfg: DuelConfig) -> None:
     for name, rival in (("racing_line", "racing_line"), ("the duelist of before", str(BEFORE))):
         against = duels.threshold(cfg, load(path), load(rival))
         figure(f"pass threshold against {name}, slowed", against.pace, "of its pace", goal)
-    for name, grid, goal in (
+    for name, grid, wins in (
         ("three centerline", ["centerline"] * 3, 90.0),
         ("cautious, racing_line, blocker", ["cautious", "racing_line", "blocker"], None),
     ):
         last = duels.from_behind(cfg, [*map(load, grid), load(path)], [1.0] * 4)
-        figure(f"from last of four against {name}: won", 100 * last.passed, "%", goal)
+        figure(f"from last of four against {name}: won", 100 * last.passed, "%", wins)
         figure("  places gained", last.places, "of 3")
     twice_s = duels.solo_lap(cfg, load(path)) / HALF_PACE
     half = _top_speed(cfg, load("racing_line"), twice_s)
