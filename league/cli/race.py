@@ -77,8 +77,8 @@ class Race:
     rules: Literal["league", "deepracer"] = "league"
     """Who is to blame and what it costs: as docs/rules.md has it, or as in the original."""
     format: Literal["standing", "reverse", "qualifying", "pursuit"] = "standing"
-    """How cars line up: standing, as named; qualifying, after a lap of each alone, the fastest
-    first; reverse, the fastest last; pursuit, as named, spread evenly round the lap."""
+    """How cars line up: standing, as named; qualifying, after two laps alone, the fastest first;
+    reverse, the fastest last; pursuit, as named, spread evenly round the lap."""
     obstacles: Optional[int] = None  # noqa: UP045  # as `Drivers`
     """Boxes or bots on the track, among which any number of cars drives; by default 6 where --kind
     obstacle_avoidance or --bots asks for some, else none."""

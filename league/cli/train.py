@@ -42,8 +42,8 @@ OLD_FLAGS = {
 """Flags of older versions, and what they are called now."""
 _PACE = "the pace of the other cars in self-play now follows success: omit it"
 REMOVED_FLAGS = {
-    "--scripted-share": "self-play no longer meets scripted drivers: omit it, or give "
-    "--opponents NAME ... instead of --self-play",
+    "--scripted-share": "self-play meets scripted drivers in a fixed share of its worlds: "
+    "omit it, or give --opponents NAME ... instead of --self-play",
     "--handicap": _PACE,
     "--no-handicap": _PACE,
 }
@@ -63,8 +63,8 @@ class Train:
     classic grid of N steering angles and M speeds; or a model_metadata.json. By default that of
     --init-from, or else 0.5-4."""
     sensors: tuple[str, ...] | None = None
-    """stereoWxH, monoWxH, leftWxH, lidar, sectors, discretised; or a model_metadata.json. By
-    default what --init-from or the model_metadata.json of --action-space has, or else
+    """stereoWxH, monoWxH, leftWxH, lidar, sectors, discretised, historyN, framesN, truth; or a
+    model_metadata.json. By default what --init-from or the model_metadata.json of --action-space has, or else
     stereo64x48."""
     hyperparameters: Path | None = None
     """A hyperparameters.json with DeepRacer's names; flags take precedence."""

@@ -387,7 +387,7 @@ class Run:
 
 def _eval_config(cfg: RunConfig) -> EvalConfig:
     find = make_env.load_tracks if cfg.eval_tracks else make_env.tracks_for_evaluation
-    # A policy that learns to race others is evaluated by racing them; in self-play the matrix is.
+    # A policy that learns to race others is evaluated by racing them.
     opponents = cfg.eval_opponents or cfg.opponents
     for name in opponents:
         roster.check(name)

@@ -122,8 +122,8 @@ def test_qualifying_puts_the_best_lap_on_the_track_first_and_who_has_none_last(t
 
 
 @pytest.mark.parametrize("format", ["reverse", "pursuit"])
-def test_workers_race_by_the_format_of_the_ruleset(tmp_path, format):
-    rules = replace(SHORT, format=format)
+def test_workers_race_by_the_format_and_obstacles_of_the_ruleset(tmp_path, format):
+    rules = replace(SHORT, format=format, obstacles=3, obstacle_kind="bot")
     with new_league(f"sqlite:///{tmp_path / 'league.db'}", rules=rules) as store:
         entry = submitted(store, "bob", senses="blind")
         halves = (Half("reinvent_2018", (entry.id, entry.id)),)
@@ -134,6 +134,7 @@ def test_workers_race_by_the_format_of_the_ruleset(tmp_path, format):
     assert recording is not None
     replay = replay_format.decode(recording)
     assert replay.spec.format == format
+    assert replay.columns.num_obstacles == 3
     gap = abs(replay.columns.distance[0, 0] - replay.columns.distance[0, 1])
     assert gap == pytest.approx(0.0 if format == "pursuit" else 0.75, abs=1e-3)
 

@@ -186,6 +186,15 @@ def test_the_racer_drives_all_other_cars_where_there_are_several_tracks(small):
     assert np.isfinite(both.update(0.6).reward)  # scripted drivers would refuse two tracks
 
 
+@pytest.mark.parametrize("truth", [True, False], ids=["first stage", "second stage"])
+def test_cars_learn_to_race_among_obstacles(small, truth):
+    sensors = SensorConfig(truth=True) if truth else small.sensors
+    made = make_racing(RING, replace(small, sensors=sensors, num_cars=3, obstacles=4))
+    worlds = made.env.race_env.world
+    assert (worlds.num_cars, worlds.num_obstacles) == (3, 4)
+    assert np.isfinite(made.update(0.6).reward)
+
+
 def test_the_racer_drives_the_other_cars(small):
     made = make_racing(RING, small)
     guests = self_play.scripted_drivers(self_play.SCRIPTED, RING, 1, 4)
