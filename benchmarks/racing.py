@@ -2,12 +2,14 @@
 
     python -m benchmarks.racing [--races 200] [--solver bullet] [--track NAME] [POLICY.pt ...]
 
-Without policies the garage's duelist. A pass threshold is the fastest pace of a defender, as a
+Without policies the garage's duelist; of several, such as the seeds of one training, the medians
+are printed, too. A pass threshold is the fastest pace of a defender, as a
 share of the attacker's own flying lap, against which at least half of the three-lap attacks from
 one place behind succeed without a contact to blame for and without leaving the road.
 """
 
 import argparse
+import statistics
 from pathlib import Path
 
 import numpy as np
@@ -29,12 +31,22 @@ BEFORE = Path(__file__).parent / "rivals" / "duelist_2026.pt"
 """The duelist that the garage had until it learned wheel to wheel, which goals name."""
 
 
-def measure(path: str, cfg: DuelConfig) -> None:
-    """Measure one policy."""
-    tracks = TrackSet(cfg.track)
+Figure = tuple[float, str, float | None, bool]  # value, unit, goal, and whether it is a bound
+MIXED = ("cautious", "racing_line", "blocker")
+
+
+def measure(path: str, cfg: DuelConfig) -> dict[str, Figure]:
+    """Measure one policy; return its figures by name."""
+    tracks, figures = TrackSet(cfg.track), dict[str, Figure]()
 
     def load(name: str) -> Driver:
         return roster.load(name, tracks, CAR)
+
+    def show(
+        name: str, value: float, unit: str, goal: float | None = None, *, most: bool = False
+    ) -> None:
+        figures[name] = value, unit, goal, most
+        figure(name, value, unit, goal, most=most)
 
     policy = load(path)
     goal = 0.93 if policy.sensors.truth else 0.90
@@ -43,33 +55,31 @@ def measure(path: str, cfg: DuelConfig) -> None:
         solo = evaluate(load(path), cfg.track, laps=10, variation=0.0, solver=cfg.solver)
         bound = lap_bound(cfg.track, CAR)
         best = solo.best_flying_s or np.inf
-        figure("solo flying lap over the bound", best / bound, "x", 1.06, most=True)
-        figure("off-tracks in ten laps", solo.off_tracks, "", 0, most=True)
+        show("solo flying lap over the bound", best / bound, "x", 1.06, most=True)
+        show("off-tracks in ten laps", solo.off_tracks, "", 0, most=True)
     found = duels.threshold(cfg, load(path), load(path))
     _show(found)
-    figure("pass threshold against itself, slowed", found.pace, "of its pace", goal)
-    figure("hold threshold", found.hold, "of its pace", 1.03)
-    tried = list(found.duels.values())
-    near = sum(one.near_km for one in tried)
-    contacts, hard = (
-        sum(getattr(one, name) for one in tried) for name in ("contacts", "hard_contacts")
-    )
-    figure("contacts to blame for per km near others", contacts / near, "", 1.0, most=True)
-    figure("such contacts above 0.3 m/s per km", hard / near, "", 0.2, most=True)
-    at_start = sum(one.hard_at_start for one in tried)
-    figure("  of these in the first three seconds", 100 * at_start / max(hard, 1), "%")
-    passes = sum(one.passed * one.races for one in tried)
-    figure("off-tracks per pass", sum(one.off_tracks for one in tried) / max(passes, 1.0), "")
+    show("pass threshold against itself, slowed", found.pace, "of its pace", goal)
+    show("hold threshold", found.hold, "of its pace", 1.03)
+    show("contacts to blame for per km near others", found.contacts_per_km, "", 1.0, most=True)
+    show("such contacts above 0.3 m/s per km", found.hard_contacts_per_km, "", 0.2, most=True)
+    show("  of these in the first three seconds", 100 * found.hard_at_start, "%")
+    show("off-tracks per pass", found.off_tracks_per_pass, "")
     for name, rival in (("racing_line", "racing_line"), ("the duelist of before", str(BEFORE))):
         against = duels.threshold(cfg, load(path), load(rival))
-        figure(f"pass threshold against {name}, slowed", against.pace, "of its pace", goal)
-    for name, grid, wins in (
-        ("three centerline", ["centerline"] * 3, 90.0),
-        ("cautious, racing_line, blocker", ["cautious", "racing_line", "blocker"], None),
-    ):
-        last = duels.from_behind(cfg, [*map(load, grid), load(path)], [1.0] * 4)
-        figure(f"from last of four against {name}: won", 100 * last.passed, "%", wins)
-        figure("  places gained", last.places, "of 3")
+        show(f"pass threshold against {name}, slowed", against.pace, "of its pace", goal)
+    last = duels.from_behind(cfg, [*map(load, ["centerline"] * 3), load(path)], [1.0] * 4)
+    show("from last of four against three centerline: won", 100 * last.passed, "%", 90)
+    names, finished = ", ".join(MIXED), []
+    row = table(f"place of four with {names}", "won", "places gained", "cars that finish")
+    for place in range(4):
+        field = [*map(load, MIXED)]
+        field.insert(place, load(path))
+        seen = duels.from_place(cfg, field, [1.0] * 4, place)
+        finished.append(seen.finished)
+        row(place + 1, f"{seen.passed:.2f}", f"{seen.places:.2f}", f"{seen.finished:.3f}")
+    show(f"from last of four against {names}: won", 100 * seen.passed, "%")
+    show("cars of these races that finish", 100 * min(finished), "%", 100)
     twice_s = duels.solo_lap(cfg, load(path)) / HALF_PACE
     half = _top_speed(cfg, load("racing_line"), twice_s)
     for name, rival, top_speed in (
@@ -77,8 +87,9 @@ def measure(path: str, cfg: DuelConfig) -> None:
         ("a roadblock at half pace", "racing_line", half),
     ):
         seen = duels.from_behind(cfg, (load(rival), load(path)), (top_speed, 1.0))
-        figure(f"from behind against {name}: won", 100 * seen.passed, "%", 90)
-        figure("  won, and the rival left the road", 100 * seen.given, "%")
+        show(f"from behind against {name}: won", 100 * seen.passed, "%", 90)
+        show(f"  won against {name}, and it left the road", 100 * seen.given, "%")
+    return figures
 
 
 def _top_speed(cfg: DuelConfig, driver: Driver, lap_s: float) -> float:
@@ -110,8 +121,12 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--track", default="reinvent_2018")
     given = parser.parse_args(arguments or [])
     cfg = DuelConfig(files.load(given.track), races=given.races, solver=given.solver)
-    for path in given.policies:
-        measure(path, cfg)
+    measured = [measure(path, cfg) for path in given.policies]
+    if len(measured) > 1:
+        heading(f"Medians of these {len(measured)} policies")
+        for name, (_, unit, goal, most) in measured[0].items():
+            middle = statistics.median(figures[name][0] for figures in measured)
+            figure(name, middle, unit, goal, most=most)
     note(f"Cars differ by {duels.VARIATION:g} times what they do in a league's heats.")
 
 

@@ -56,6 +56,16 @@ def test_from_the_last_place_all_others_count():
     assert found.passed == 1.0 and found.places == 3.0
 
 
+def test_races_from_another_place_are_driven_to_the_end():
+    field = Lane(-0.3), Lane(0.3), Lane(-0.3)
+    gained = duels.from_place(CFG, field, (0.4, 1.0, 0.35), 1)
+    assert (gained.passed, gained.places, gained.finished) == (1.0, 1.0, 1.0)
+    lost = duels.from_place(CFG, field[:2], (0.4, 1.0), 0)
+    assert (lost.passed, lost.places, lost.finished) == (0.0, -1.0, 1.0)
+    # A race from behind ends with the attacker's.
+    assert duels.from_behind(CFG, field[:2], (0.4, 1.0)).finished == 0.0
+
+
 def test_who_passes_by_ramming_does_not_pass_cleanly():
     found = duels.from_behind(CFG, (Lane(0.0), Lane(0.0)), (0.4, 1.0))
     assert found.contacts > 0 and found.hard_contacts > 0 and found.hard_at_start == 0
@@ -77,7 +87,7 @@ def test_the_threshold_lies_between_what_succeeds_and_what_fails(monkeypatch):
     def raced(cfg, field, top_speeds):
         tried.append(top_speeds[0])
         clean = float(top_speeds[0] < 0.83)
-        return Duels(6, clean, 0.0, clean, 1.0 - clean, clean, 0.1, 1, 0, 0, 0)
+        return Duels(6, clean, 0.0, clean, 1.0 - clean, clean, 0.1, 1, 0, 0, 0, 0.0)
 
     monkeypatch.setattr(duels, "from_behind", raced)
     monkeypatch.setattr(duels, "solo_lap", lambda cfg, driver, top_speed=1.0: 5.0 / top_speed)

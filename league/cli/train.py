@@ -64,8 +64,8 @@ class Train:
     --init-from, or else 0.5-4."""
     sensors: tuple[str, ...] | None = None
     """stereoWxH, monoWxH, leftWxH, lidar, sectors, discretised, historyN, framesN, truth; or a
-    model_metadata.json. By default what --init-from or the model_metadata.json of --action-space has, or else
-    stereo64x48."""
+    model_metadata.json. By default what --init-from or the model_metadata.json of --action-space
+    has, or else stereo64x48."""
     hyperparameters: Path | None = None
     """A hyperparameters.json with DeepRacer's names; flags take precedence."""
     resume: bool = False

@@ -44,7 +44,7 @@ class DuelConfig:
 
 @dataclass(frozen=True)
 class Duels:
-    """Results of many races of an attacker that starts behind a defender."""
+    """Results of many races of an attacker, which mostly starts behind a defender."""
 
     races: int  # races driven
     passed: float  # share of races in which the attacker finished ahead of all
@@ -57,6 +57,7 @@ class Duels:
     hard_contacts: int  # those hard enough for a penalty: from 0.3 m/s of closing speed on
     hard_at_start: int  # those of them in the first three seconds
     off_tracks: int  # how often the attacker left the road
+    finished: float  # share of cars that finished; 0 unless races were driven to the end
 
 
 @dataclass(frozen=True)
@@ -70,25 +71,64 @@ class Threshold:
     half of the races; 0: none."""
     duels: dict[float, Duels]  # results by the defender's pace
 
+    @property
+    def contacts_per_km(self) -> float:
+        """Contacts to blame for per km driven near the other car, at all paces."""
+        return self._sum("contacts") / max(self._sum("near_km"), 1e-9)
+
+    @property
+    def hard_contacts_per_km(self) -> float:
+        """Those of them that are hard enough for a penalty, per km."""
+        return self._sum("hard_contacts") / max(self._sum("near_km"), 1e-9)
+
+    @property
+    def hard_at_start(self) -> float:
+        """Share of the hard contacts in the first three seconds."""
+        return self._sum("hard_at_start") / max(self._sum("hard_contacts"), 1.0)
+
+    @property
+    def off_tracks_per_pass(self) -> float:
+        """How often the attacker left the road for each race in which it passed."""
+        passes = sum(one.passed * one.races for one in self.duels.values())
+        return self._sum("off_tracks") / max(passes, 1.0)
+
+    def _sum(self, name: str) -> float:
+        return float(sum(getattr(one, name) for one in self.duels.values()))
+
 
 def from_behind(cfg: DuelConfig, field: Sequence[Driver], top_speeds: Sequence[float]) -> Duels:
-    """Race a driver from the last place of the grid.
+    """Race the last of the grid, as `from_place`, until it or all others are home."""
+    return from_place(cfg, field, top_speeds, len(field) - 1, to_the_end=False)
+
+
+def from_place(
+    cfg: DuelConfig,
+    field: Sequence[Driver],
+    top_speeds: Sequence[float],
+    place: int,
+    *,
+    to_the_end: bool = True,
+) -> Duels:
+    """Race a driver from a place of the grid.
 
     Args:
         cfg: track, number of races, solver and seed.
-        field: the drivers in the order of the grid, each another object; the last one attacks, and
-            the first one defends.
+        field: the drivers in the order of the grid, each another object; the first one of the
+            attacker's rivals defends.
         top_speeds: of their cars, as shares of what the car can be asked for.
+        place: of the attacker, from 0.
+        to_the_end: drive on until all cars are home; what happens once the attacker, or all others,
+            are home counts for `finished` only.
     """
     env = make_env(cfg, field, cfg.races)
     rollout = Rollout(env, DriverPool([field] * cfg.races, strict=True), seeds(cfg).tolist())
-    cars, last = env.world.cars, len(field) - 1
+    cars, rivals = env.world.cars, np.arange(len(field)) != place
     cars["top_speed"] = np.array(top_speeds, np.float32) * env.cfg.sim.car.max_speed
-    over, near_m = np.zeros(cfg.races, np.bool_), 0.0
+    over, home, near_m = np.zeros(cfg.races, np.bool_), np.zeros(cars.shape, np.bool_), 0.0
     contacts, hard, early, off = (np.zeros(cars.shape, np.int64) for _ in range(4))
     touching = np.zeros(cars.shape, np.bool_)
     end = env.world.worlds["last_step"].max()
-    while not over.all() and env.world.worlds["step"].max() < end:
+    while not (home if to_the_end else over).all() and env.world.worlds["step"].max() < end:
         step = rollout.step()
         seen, going = step.verdicts, ~over[:, None]
         contacts += seen["to_blame"] & ~touching & going
@@ -96,28 +136,30 @@ def from_behind(cfg: DuelConfig, field: Sequence[Driver], top_speeds: Sequence[f
         early += seen["crashed"] & going & (env.time_s <= _START_S)[:, None]
         off += (seen["off_track"] | seen["pushed_off"]) & going
         touching = seen["to_blame"].copy()
-        gaps = env.tracks.signed_gap(env.world.track, cars["s"][:, :last], cars["s"][:, last:])
+        gaps = env.tracks.signed_gap(env.world.track, cars["s"][:, rivals], cars["s"][:, [place]])
         near = (np.abs(gaps) < NEAR).any(axis=1) & ~over
-        near_m += float(seen["advance"][near, last].clip(min=0.0).sum())
+        near_m += float(seen["advance"][near, place].clip(min=0.0).sum())
         # The race is decided when the attacker, or all others, have finished.
         home = step.terminated
-        over |= home[:, last] | home[:, :last].all(axis=1)
+        over |= home[:, place] | home[:, rivals].all(axis=1)
     merit = np.where(np.isfinite(cars["finish_s"]), 1e6 - cars["finish_s"], cars["distance"])
-    ahead = merit[:, last:] > merit[:, :last]
-    clean = (contacts[:, last] == 0) & (off[:, last] == 0)
+    ahead = merit[:, [place]] > merit[:, rivals]
+    clean = (contacts[:, place] == 0) & (off[:, place] == 0)
+    finished = np.isfinite(cars["finish_s"]).mean() if to_the_end else 0.0
     env.close()
     return Duels(
         races=cfg.races,
         passed=float(ahead.all(axis=1).mean()),
-        given=float((ahead.all(axis=1) & (off[:, :last] > 0).any(axis=1)).mean()),
+        given=float((ahead.all(axis=1) & (off[:, rivals] > 0).any(axis=1)).mean()),
         clean=float((ahead.all(axis=1) & clean).mean()),
-        held=float((~ahead[:, 0] & (contacts[:, 0] == 0)).mean()),
-        places=float(ahead.sum(axis=1).mean()),
+        held=float((~ahead[:, 0] & (contacts[:, rivals][:, 0] == 0)).mean()),
+        places=float(ahead.sum(axis=1).mean()) - (len(field) - 1 - place),
         near_km=near_m / 1000.0,
-        contacts=int(contacts[:, last].sum()),
-        hard_contacts=int(hard[:, last].sum()),
-        hard_at_start=int(early[:, last].sum()),
-        off_tracks=int(off[:, last].sum()),
+        contacts=int(contacts[:, place].sum()),
+        hard_contacts=int(hard[:, place].sum()),
+        hard_at_start=int(early[:, place].sum()),
+        off_tracks=int(off[:, place].sum()),
+        finished=float(finished),
     )
 
 

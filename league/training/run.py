@@ -329,6 +329,8 @@ class Run:
             car, cfg = SimConfig().car, DuelConfig(self._eval_cfg.tracks[0], races=_DUELS)
             self._duels = found = duels.threshold(cfg, Policy(best, car), Policy(best, car))
             results |= {"pass_pace": found.pace, "hold_pace": found.hold}
+            for name in ("contacts_per_km", "hard_contacts_per_km", "off_tracks_per_pass"):
+                results[name] = getattr(found, name)
             self._save_best(best, results)
 
     def _save_best(self, policy: Checkpoint, results: Mapping[str, float | None]) -> None:

@@ -12,7 +12,7 @@ import torch
 
 from league.agents import checkpoint
 from league.errors import ConfigError, PolicyError, RewardError
-from league.racing.duels import Threshold
+from league.racing.duels import Duels, Threshold
 from league.racing.evaluate import evaluate
 from league.training import evaluator
 from league.training import run as run_room
@@ -95,7 +95,11 @@ def test_in_self_play_the_newest_is_best_of_those_that_come_as_far(
     judged = evaluator.evaluate_policy
     monkeypatch.setattr(evaluator, "evaluate_policy", sat)
     run, onlooker = small.run(tmp_path, racing()), small.CallbackRecorder()
-    monkeypatch.setattr(run_room.duels, "threshold", lambda *_: Threshold(0.9, 1.0, {}))
+    seen = Duels(
+        races=10, passed=0.5, given=0.0, clean=0.5, held=0.5, places=0.5, near_km=2.0, contacts=3,
+        hard_contacts=1, hard_at_start=0, off_tracks=2, finished=0.0,
+    )  # fmt: skip
+    monkeypatch.setattr(run_room.duels, "threshold", lambda *_: Threshold(0.9, 1.0, {0.9: seen}))
     outcome = run.learn([onlooker])
     # The second leaves the road; the third laps as the first did.
     assert [row.complete_laps for row in run.history.evaluations] == [1, 0, 1]
@@ -104,6 +108,8 @@ def test_in_self_play_the_newest_is_best_of_those_that_come_as_far(
     assert onlooker.races[-1] == "racing it against itself, slowed, for the policy's card"
     card = checkpoint.load(tmp_path / "best.pt").card
     assert (card.results["pass_pace"], card.results["hold_pace"]) == (0.9, 1.0)
+    rates = (card.results[f"{name}_per_km"] for name in ("contacts", "hard_contacts"))
+    assert [*rates, card.results["off_tracks_per_pass"]] == [1.5, 0.5, 0.4]
 
 
 def test_self_play_goes_from_the_true_state_to_its_own_sensors(tmp_path, small_racer):
