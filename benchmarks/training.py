@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -28,11 +28,13 @@ from torch import Tensor, nn
 from benchmarks.report import figure, heading, note
 from league.envs import rewards
 from league.envs.actions import ContinuousActions
+from league.sim.config import SensorConfig
 from league.track import files
 from league.track.track import TrackSet
 from league.training.config import TrainConfig
 from league.training.ppo import make_env
-from league.training.ppo.learner import Learner
+from league.training.ppo.learner import Learner, threads
+from league.training.ppo.self_play import make_racing
 from tests.actor import Actor
 
 ROOT = Path(__file__).parents[1]
@@ -258,11 +260,37 @@ def loops(rounds: int = 5) -> None:
     learner.env.close()
 
 
+def first_stage(rounds: int = 20) -> None:
+    """Print how many decisions a second self-play learns from on the true state.
+
+    One thread is counted in its core's own time, two by the fastest update: what a quiet machine
+    does.
+    """
+    ours = replace(learner_config(), kind="head_to_head", num_cars=4)
+    ours = replace(ours, sensors=SensorConfig(truth=True))
+    tracks = TrackSet(files.load("reinvent_2018"))
+    for name, number, clock, goal in (
+        ("one thread, its own time", 1, time.process_time, 25_000),
+        ("two threads, the fastest update", 2, time.perf_counter, 40_000),
+    ):
+        stage = make_racing(tracks, ours)
+        with threads(number):
+            done, taken = stage.update(0.0).samples, []
+            for _ in range(rounds):
+                before, began = done, clock()
+                done = stage.update(0.0).samples
+                taken.append((clock() - began) / (done - before))
+        spent = statistics.median(taken) if number == 1 else min(taken)
+        figure(f"first stage of self-play, {name}", 1 / spent, "decisions/s", goal)
+        stage.env.close()
+
+
 def main() -> None:
     """Print the figures."""
     heading("Training")
     torch.set_num_threads(1)
     loops()
+    first_stage()
     first_rookie()
     rookies()
 
