@@ -339,6 +339,14 @@ def test_grid_follows_the_format_of_the_race(league):
     assert "1 lap, reverse" in out
 
 
+def test_json_has_the_whole_story(league):
+    race = "race", "blocker", "cautious", "racing_line", *SHORT
+    told = json.loads(league(*race, "--json")[1])["story"]
+    assert {line["kind"] for line in told} >= {"attack", "lap", "winner"}
+    assert [line["time_s"] for line in told] == sorted(line["time_s"] for line in told)
+    assert told[-1]["text"] in " ".join(league(*race)[1].split())
+
+
 def test_races_vary_with_the_seed_unless_that_is_switched_off(league):
     def total(*settings: str) -> float:
         out = league("race", "centerline", "blocker", *SHORT, "--json", *settings)[1]

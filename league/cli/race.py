@@ -9,7 +9,7 @@ import sys
 import tempfile
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Optional
@@ -125,8 +125,7 @@ class Race:
 
             listen = None if live is None else live.note
             # Without a file, too, the story is of the recording.
-            record = path is not None or not self.json
-            finished = lazy.race.run(spec, track=track, record=record, watch=watch, listen=listen)
+            finished = lazy.race.run(spec, track=track, record=True, watch=watch, listen=listen)
         written = None
         try:
             if finished.replay is not None and path is not None:
@@ -153,15 +152,15 @@ def _after_qualifying(spec: RaceSpec, track: Track, *, quiet: bool) -> RaceSpec:
 
 def _print_result(command: Race, finished: FinishedRace, replay: Path | None) -> None:
     result = finished.result
+    story = lazy.broadcast.of_replay(finished.replay) if finished.replay is not None else []
     if command.json:
-        document = {**result.model_dump(mode="json"), "replay": str(replay) if replay else None}
+        document = {**result.model_dump(mode="json"), "story": [asdict(line) for line in story]}
+        document["replay"] = str(replay) if replay else None
         print(json.dumps(document, indent=2))
         return
     _print_classification(result)
-    if finished.replay is not None and len(result.order) > 1:
-        for line in lazy.broadcast.shortened(
-            lazy.broadcast.of_replay(finished.replay), STORY_LINES
-        ):
+    if len(result.order) > 1:
+        for line in lazy.broadcast.shortened(story, STORY_LINES):
             print(textwrap.fill(line.stamped, tables.console().width, subsequent_indent="    "))
     if replay is not None:
         print(replay_line(replay))
