@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from league.agents import roster
+from league.agents.policy import Policy
 from league.errors import ConfigError, LeagueError
 from league.race_spec import CarResult, Entry, RaceResult, RaceSpec, checked
 from league.racing import race, race_log
 from league.sim.config import CameraConfig, CarConfig, LidarConfig, SensorConfig
 from league.track import files
 from league.track.track import TrackSet
+from tests.agents.trained import make_checkpoint
 from tests.scenes import follow_center, make_ring, make_square, make_straight
 
 
@@ -347,6 +349,14 @@ def test_scripted_drivers_with_seats_in_two_races_remember_each_of_them():
     one, two = (roster.load(name, tracks, CarConfig()) for name in ("racing_line", "blocker"))
     asked = {"track": tracks.tracks[0], "max_time_s": 4.0}
     together(contest((one, two), **asked), contest((two, one), seed=2, **asked))
+
+
+def test_policies_that_remember_race_together_as_alone():
+    one, two = (Policy(make_checkpoint("remembering", seed=seed), CarConfig()) for seed in (1, 2))
+    together(
+        contest((one, two), max_time_s=4.0),
+        contest((two, one), seed=2, max_time_s=4.0),
+    )
 
 
 def test_a_driver_is_asked_once_a_step_for_all_its_cars():

@@ -12,6 +12,7 @@ SENSES = {
     "lidar": SensorConfig(lidar=LidarConfig()),
     "stereo": SensorConfig(camera=CameraConfig(width=48, height=36)),
     "all": SensorConfig.full(48, 36),
+    "remembering": SensorConfig(CameraConfig(width=48, height=36), LidarConfig(), 2, 2),
 }
 
 
