@@ -11,7 +11,7 @@ from league.racing import duels
 from league.racing.duels import DuelConfig, Duels
 from league.sim.config import CarConfig, SensorConfig
 from league.track.track import TrackSet
-from tests.scenes import make_ring
+from tests.scenes import make_ring, make_straight
 
 RING = make_ring(width=1.4)
 CFG = DuelConfig(RING, races=6)
@@ -102,6 +102,15 @@ def test_a_lap_under_a_lower_top_speed_takes_longer():
     driver = roster.load("centerline", tracks, CarConfig())
     full, held = (duels.solo_lap(CFG, driver, share) for share in (1.0, 0.4))
     assert held > 7.0 and full < held
+
+
+def test_on_an_open_track_the_only_lap_counts():
+    cfg = DuelConfig(make_straight(length=20.0), races=2)
+    assert (
+        5.0
+        < duels.solo_lap(cfg, roster.load("centerline", TrackSet(cfg.track), CarConfig()))
+        < 15.0
+    )
 
 
 def test_who_drives_no_lap_has_no_pace():

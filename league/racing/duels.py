@@ -166,7 +166,7 @@ def from_place(
 def solo_lap(cfg: DuelConfig, driver: Driver, top_speed: float = 1.0) -> float:
     """Return the time of a flying lap alone, without variation [s]; infinite: none.
 
-    The best of LAPS - 1 laps after the first.
+    The best of LAPS - 1 laps after the first; on an open track, which has one lap, that lap.
     """
     env = make_env(cfg, (driver,), 1)
     rollout = Rollout(env, DriverPool([(driver,)], strict=True), [cfg.seed])
@@ -176,7 +176,7 @@ def solo_lap(cfg: DuelConfig, driver: Driver, top_speed: float = 1.0) -> float:
         step = rollout.step()
         if step.verdicts["lap"][0, 0]:
             laps += 1
-            if laps > 1:
+            if laps > 1 or not cfg.track.closed:
                 best = min(best, float(env.world.cars["last_lap_s"][0, 0]))
         if step.terminated.all():
             break

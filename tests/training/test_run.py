@@ -125,7 +125,7 @@ def test_self_play_goes_from_the_true_state_to_its_own_sensors(tmp_path, small_r
     assert learner.env.learners == (0,) and learner.racer.env.learners == (0, 1)
 
 
-def test_who_learns_to_race_others_is_judged_by_racing_them(tmp_path):
+def test_who_learns_to_race_others_is_judged_by_racing_them(tmp_path, monkeypatch):
     cfg = small.cfg(
         2, train=small.train(kind="head_to_head", num_cars=2), opponents=("centerline",)
     )
@@ -134,6 +134,16 @@ def test_who_learns_to_race_others_is_judged_by_racing_them(tmp_path):
     assert evaluation is not None
     assert (evaluation.kind, len(evaluation.places)) == ("head_to_head", 1)
     assert merit_of(evaluation.model_copy(update={"places": (1, 2)}))[0] == -1.5
+    # With a complete lap it is raced against itself, too.
+    monkeypatch.setattr(evaluator, "evaluate_policy", passed)
+    monkeypatch.setattr(run_room.duels, "threshold", lambda *_: Threshold(0.8, 1.1, {}))
+    small.run(tmp_path / "faster", cfg).learn()
+    assert checkpoint.load(tmp_path / "faster" / "best.pt").card.results["hold_pace"] == 1.1
+    # Who drives no lap in the plane has no thresholds.
+    monkeypatch.undo()
+    monkeypatch.setattr(evaluator, "evaluate_policy", passed)
+    outcome = small.run(tmp_path / "slower", cfg).learn()
+    assert outcome.evaluation is not None and outcome.duels is None
 
 
 def test_a_parent_that_is_only_watched_yet_is_not_judged(tmp_path):
