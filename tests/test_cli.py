@@ -270,6 +270,8 @@ def test_arguments_are_named(league):
         usage = text.splitlines()[0]
         assert not re.search(r"\b(STR|PATH)\b", usage.partition("OPTIONS]")[2]), usage
         assert "{None}" not in text
+        text = " ".join(text.replace("│", " ").split())
+        assert "(default: None)" not in text and "(default: )" not in text, name
 
 
 @pytest.mark.parametrize("arguments", [["tracks"], ["--help"], ["race", "--help"]])

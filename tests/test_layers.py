@@ -12,8 +12,8 @@ import pytest
 
 LEAGUE = Path(__file__).parents[1] / "league"
 LAYERS = {
-    "league": 1, "errors": 1, "atomic_file": 1, "jit": 1, "portable_math": 1, "subprocesses": 1,
-    "threads": 1, "times": 1,
+    "league": 1, "errors": 1, "atomic_file": 1, "flags": 1, "jit": 1, "portable_math": 1,
+    "subprocesses": 1, "threads": 1, "times": 1,
     "figures": 2, "track": 2,
     "sim": 3,
     "race_spec": 4, "racing_line": 4,

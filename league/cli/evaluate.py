@@ -24,6 +24,7 @@ from league.cli.race import (
     replay_path,
 )
 from league.errors import ConfigError
+from league.flags import Unset
 from league.sim.config import ObstacleConfig, RaceKind, SimConfig
 
 if TYPE_CHECKING:
@@ -53,13 +54,14 @@ class Evaluate:
     episode: bool = False  # End a lap at the first mistake, as training does, instead of a penalty.
     seed: int = 0  # Seed of obstacles and noise of the first run.
     solver: Literal["bullet", "planar"] = "bullet"  # Physics.
-    obstacles: int | None = None
+    obstacles: Unset[int | None] = None
     """Boxes or bots on the track; by default 6 where --kind obstacle_avoidance or --bots asks for
     some, else none."""
     bots: bool = False  # Slow bot cars that change lanes instead of boxes.
     fixed_obstacles: bool = False  # Obstacles evenly spaced instead of at random places.
-    opponents: tuple[str, ...] = ()  # Drivers or checkpoints to race against; they start behind.
-    trace: Path | None = None
+    opponents: Unset[tuple[str, ...]] = ()
+    """Drivers or checkpoints to race against; they start behind."""
+    trace: Unset[Path | None] = None
     """Write every step to this CSV, with the 19 columns that community log tools read; or into this
     folder, NAME.run/simtrace for one, in the layout in which they look for it."""
     reward: str = "progress"
@@ -220,7 +222,7 @@ class CheckReward:
 
     file: Annotated[Positional[Path], arg(metavar="FILE.py")]
     """The Python file that defines reward_function(params); it is your own program, and is run."""
-    kind: RaceKind | None = None
+    kind: Unset[RaceKind | None] = None
     """Kind of race that it is written for; by default it is tried in every kind, and may need
     objects."""
     json: bool = False  # Print JSON.
@@ -243,7 +245,7 @@ class ScoreReplay:
     reward: Annotated[Positional[str], arg(metavar="REWARD")]
     """A reward file (FILE.py), or centerline, progress, race or racing_line."""
     against: str = "progress"  # The second one: another reward file, or a built-in reward.
-    out: Path | None = None
+    out: Unset[Path | None] = None
     """Where to write the picture; by default next to the replay, with the ending .reward.png."""
     json: bool = False  # Print JSON.
 

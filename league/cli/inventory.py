@@ -15,6 +15,7 @@ from league.atomic_file import replacing
 from league.cli import lazy, tables
 from league.cli.season import OnLeague
 from league.errors import ConfigError, TrackError
+from league.flags import Unset
 
 
 @dataclass
@@ -42,7 +43,7 @@ class ShowTrack:
     """Draw a track to a PNG, with start line and direction."""
 
     name: Annotated[Positional[str], arg(metavar="TRACK")]  # Name of a track, or a track file.
-    out: Path | None = None  # Where to write the picture; by default NAME.png here.
+    out: Unset[Path | None] = None  # Where to write the picture; by default NAME.png here.
 
     def run(self) -> None:
         track = lazy.files.load(self.name)
@@ -61,9 +62,9 @@ class ShowTrack:
 class ImportTracks:
     """Turn community .npy tracks (N x 6 waypoints) into track files."""
 
-    files: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE...")]
+    files: Annotated[Positional[Unset[tuple[Path, ...]]], arg(metavar="FILE...")]
     """The .npy files, or folders of them."""
-    out: Path | None = None
+    out: Unset[Path | None] = None
     """Where to write the track, by default NAME.yaml here; for several tracks a folder."""
 
     def run(self) -> None:
@@ -179,15 +180,15 @@ class ShowCard:
 class Export(OnLeague):
     """Write a checkpoint's network as ONNX, or a league's results as CSV or JSON."""
 
-    checkpoint: Annotated[Positional[str | None], arg(metavar="CHECKPOINT")] = None
+    checkpoint: Annotated[Positional[Unset[str | None]], arg(metavar="CHECKPOINT")] = None
     """The checkpoint (FILE.pt) or a name in the garage, for a physical car or any other runtime;
     none for a league."""
-    onnx: Annotated[tuple[Path, ...] | None, arg(metavar="[FILE]")] = None
+    onnx: Annotated[Unset[tuple[Path, ...] | None], arg(metavar="[FILE]")] = None
     """Write ONNX, the default for a checkpoint; without FILE next to the checkpoint (for a name in
     the garage: here), with the ending .onnx."""
-    csv: Path | None = None
+    csv: Unset[Path | None] = None
     """Write the league's results, a line for each car of each race; - is the standard output."""
-    json: Path | None = None
+    json: Unset[Path | None] = None
     """Write the league's rules, entries, standings and results; - is the standard output."""
 
     def run(self) -> None:

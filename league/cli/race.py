@@ -22,6 +22,7 @@ from league.atomic_file import check_writable
 from league.cli import lazy, tables
 from league.cli.season import OnLeague
 from league.errors import ConfigError, ReplayError
+from league.flags import Unset
 from league.sim import PHYSICS
 from league.sim.config import USUAL_OBSTACLES
 
@@ -62,7 +63,7 @@ DRIVERS = tyro.constructors.PrimitiveConstructorSpec(
 class Race:
     """Race drivers against each other, or one alone, and keep a replay."""
 
-    drivers: Positional[Annotated[Drivers, DRIVERS, arg(metavar="DRIVER...")]]
+    drivers: Positional[Annotated[Unset[Drivers], DRIVERS, arg(metavar="DRIVER...")]]
     """Names of scripted drivers (see `league drivers`) or checkpoints (FILE.pt), in grid order."""
     track: str = "reinvent_2018"  # Name of a track (see `league tracks`), or a track file.
     kind: Literal["auto", "time_trial", "obstacle_avoidance", "head_to_head"] = "auto"
@@ -79,7 +80,7 @@ class Race:
     format: Literal["standing", "reverse", "qualifying", "pursuit"] = "standing"
     """How cars line up: standing, as named; qualifying, after two laps alone, the fastest first;
     reverse, the fastest last; pursuit, as named, spread evenly round the lap."""
-    obstacles: Optional[int] = None  # noqa: UP045  # as `Drivers`
+    obstacles: Unset[Optional[int]] = None  # noqa: UP045  # as `Drivers`
     """Boxes or bots on the track, among which any number of cars drives; by default 6 where --kind
     obstacle_avoidance or --bots asks for some, else none."""
     bots: bool = False  # Slow bot cars that change lanes instead of boxes.
@@ -290,13 +291,13 @@ def _print_classification(result: RaceResult) -> None:
 class View(OnLeague):
     """Open a replay, or a race of a league, in the Rerun viewer."""
 
-    replay: Annotated[Positional[Path | None], arg(metavar="[REPLAY]")] = None
+    replay: Annotated[Positional[Unset[Path | None]], arg(metavar="[REPLAY]")] = None
     """The replay file, or the number of a league's heat; by default the newest in replays/."""
     race: int = 1  # Which race of the heat.
-    save: Path | None = None
+    save: Unset[Path | None] = None
     """Only write the heat's replay to this file, for `league video` or `league verify`."""
     web: bool = False  # Serve the web viewer on this machine only and print its address.
-    rrd: Path | None = None  # Only write the Rerun recording to this file.
+    rrd: Unset[Path | None] = None  # Only write the Rerun recording to this file.
     cameras: bool = True  # Include what each car saw.
 
     def run(self) -> int:
@@ -375,7 +376,7 @@ class Verify:
     """Run a recorded race again and report whether every step agrees."""
 
     replay: Annotated[Positional[Path], arg(metavar="REPLAY")]  # The replay file.
-    policies: tuple[Path, ...] = ()
+    policies: Unset[tuple[Path, ...]] = ()
     """Checkpoints of the policies that raced, if they are no longer where they were."""
 
     def run(self) -> int:

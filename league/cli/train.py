@@ -20,6 +20,7 @@ from league.atomic_file import replacing
 from league.cli import commands, lazy, train_settings
 from league.cli.evaluate import print_table
 from league.errors import ConfigError, PolicyError, RewardError
+from league.flags import Unset
 from league.subprocesses import handling
 from league.training import config, run_folder
 from league.training.config import RunConfig
@@ -58,15 +59,15 @@ class Train:
     """Where the best policy goes; the run's own files go into a folder next to it, NAME.run."""
     cfg: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
     """Settings of the run."""
-    action_space: str | None = None
+    action_space: Unset[str | None] = None
     """Speeds LOW-HIGH [m/s] or LOW-HIGH@DEG for other than 30 deg of steering; NxM@SPEED for the
     classic grid of N steering angles and M speeds; or a model_metadata.json. By default that of
     --init-from, or else 0.5-4."""
-    sensors: tuple[str, ...] | None = None
+    sensors: Unset[tuple[str, ...] | None] = None
     """stereoWxH, monoWxH, leftWxH, lidar, sectors, discretised, historyN, framesN, truth; or a
     model_metadata.json. By default what --init-from or the model_metadata.json of --action-space
     has, or else stereo64x48."""
-    hyperparameters: Path | None = None
+    hyperparameters: Unset[Path | None] = None
     """A hyperparameters.json with DeepRacer's names; flags take precedence."""
     resume: bool = False
     """Go on with the run of --out as it was started; --minutes or --steps may give it more."""

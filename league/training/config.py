@@ -10,10 +10,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 from pydantic import TypeAdapter
-from tyro.conf import Fixed, Suppress, arg
+from tyro.conf import arg
 
 from league.agents.network import NetworkConfig
 from league.atomic_file import replacing
@@ -21,12 +21,11 @@ from league.envs.actions import ActionSpace, ContinuousActions
 from league.envs.config import RewardConfig
 from league.envs.rewards import PRESETS
 from league.errors import ConfigError, PolicyError
+from league.flags import Hidden, Unset
 from league.racing.evaluate import MAX_TRIALS
 from league.sim.config import CameraConfig, RaceKind, RulesName, SensorConfig
 
 _RACING_ROWS = 1536  # cars in all worlds, where all learn to race on the true state
-_T = TypeVar("_T")
-Hidden = Annotated[_T, Fixed, Suppress]  # a setting without a flag
 # Metadata of settings that a resume may change; without metadata a setting is kept.
 FREE = {"resume": "free"}
 GROWS = {"resume": "grows"}  # it may be raised, or set to 0, which is no limit
@@ -128,7 +127,7 @@ class TrainConfig:
     visual_randomization: bool = False  # Draw light, colours, noise and blur of the pictures.
     rules: RulesName = "league"
     """Which car is to blame and what it costs: as docs/rules.md has it, or as in the original."""
-    obstacles: int | None = None
+    obstacles: Unset[int | None] = None
     """Boxes or bots on the track, in obstacle_avoidance (by default 6) or in head_to_head."""
     bots: bool = False  # Slow bot cars instead of boxes.
     episode_s: Hidden[float] = 40.0  # Longest episode [s].
@@ -187,18 +186,19 @@ class RunConfig:
     steps: int = field(default=0, metadata=GROWS)  # Stop after so many decisions; 0: no limit.
     stop_when_complete: int = 0
     """Stop after so many evaluations in a row with every lap complete; 0: never."""
-    opponents: tuple[str, ...] = ()  # Drivers or checkpoints to race against, in head_to_head.
+    opponents: Unset[tuple[str, ...]] = ()
+    """Drivers or checkpoints to race against, in head_to_head."""
     self_play: bool = False
     """Learn to race against itself, in head_to_head: first a network that sees the true state, in
     --teacher of the budget, then the policy from it and by its own races."""
     init_from: str = ""  # Start with the weights of this checkpoint, or policy of the garage.
     train: Annotated[TrainConfig, arg(name="")] = field(default_factory=TrainConfig)
     """The learner and its worlds."""
-    eval_tracks: Annotated[tuple[str, ...], arg(name="eval-track")] = field(
+    eval_tracks: Annotated[Unset[tuple[str, ...]], arg(name="eval-track")] = field(
         default=(), metadata=FREE
     )
     """Where to evaluate it; none: on up to four tracks of training, or twelve random ones."""
-    eval_opponents: tuple[str, ...] = field(default=(), metadata=FREE)
+    eval_opponents: Unset[tuple[str, ...]] = field(default=(), metadata=FREE)
     """Drivers that race against it in each evaluation."""
     eval_laps: Hidden[int] = field(default=3, metadata=FREE)  # Laps of each run of an evaluation.
     eval_trials: int = field(default=1, metadata=FREE)  # Runs of each evaluation on each track.

@@ -17,6 +17,7 @@ from league.atomic_file import replacing
 from league.cli import lazy, season, tables
 from league.cli.season import OnLeague, OnServer, Reading
 from league.errors import ConfigError, PolicyError, nearest_names
+from league.flags import Unset
 from league.sim import PHYSICS
 
 ANCHORS = ("centerline", "racing_line", "cautious", "blocker")
@@ -125,7 +126,7 @@ class Pack:
 
     driver: Annotated[Positional[str], arg(metavar="FILE.pt")]
     """A checkpoint, or the name of one (see `league drivers`)."""
-    out: Path | None = None
+    out: Unset[Path | None] = None
     """Where to write it; by default here, under the checkpoint's name, ending in .safetensors."""
 
     def run(self) -> None:

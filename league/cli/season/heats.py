@@ -25,6 +25,7 @@ from league.atomic_file import replacing
 from league.cli import lazy, season, tables
 from league.cli.season import OnLeague, Reading
 from league.errors import ConfigError, StoreError
+from league.flags import Unset
 
 FIGURES = ("finished", "laps", "total_s", "distance", "off_tracks", "crashes", "overtakes")
 COLUMNS = (
@@ -158,7 +159,7 @@ class Audit(OnLeague):
 
     sample: str = "2%"  # Share of the rated heats not audited before, in percent.
     workers: int = 0  # Worker processes; 0 takes one for each core.
-    seed: int | None = None  # Seed of the draw; by default chance.
+    seed: Unset[int | None] = None  # Seed of the draw; by default chance.
     head: str = ""
     """The ledger's head as an earlier audit printed it: nothing up to then may have changed."""
 

@@ -20,6 +20,7 @@ from tyro.conf import Positional, arg
 from league.cli import lazy, season, tables
 from league.cli.season import OnLeague, OnServer
 from league.errors import ConfigError, LeagueError
+from league.flags import Unset
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -33,8 +34,8 @@ PATIENCE_S = 600.0  # How long a remote worker waits for a server that does not 
 class Racing(OnLeague):
     """A command that races heats."""
 
-    heats: int | None = None  # Stop after so many heats.
-    minutes: float | None = None  # Begin no heat after so many minutes.
+    heats: Unset[int | None] = None  # Stop after so many heats.
+    minutes: Unset[float | None] = None  # Begin no heat after so many minutes.
     workers: int = 0  # Worker processes; 0 takes one for each core.
     executor: Literal["processes", "ray"] = "processes"
     """Where the workers live: on this machine, or on the Ray cluster that RAY_ADDRESS names."""
@@ -126,7 +127,7 @@ class Serve(OnLeague):
     port: int = 8018  # Port to listen on; 0 takes a free one.
     host: str = "127.0.0.1"
     """Address to listen on; another one is possible once there are tokens (`league token`)."""
-    name: tuple[str, ...] = ()
+    name: Unset[tuple[str, ...]] = ()
     """Names under which browsers reach this server, apart from 127.0.0.1 and localhost."""
     entries: int = 4  # Entries that an owner may have.
     per_day: int = 5  # Submissions that an owner may make within 24 hours.
@@ -158,7 +159,7 @@ class Site(OnLeague):
 
     folder: Annotated[Positional[Path], arg(metavar="FOLDER")]  # A new folder.
     heats: int = 200  # So many of the newest heats get pages, with their races to watch.
-    season: int | None = None
+    season: Unset[int | None] = None
     """Number of a season that is over: everything is as it was at its end."""
 
     def run(self) -> None:

@@ -13,6 +13,7 @@ from league import times
 from league.cli import lazy, season, tables
 from league.cli.season import Reading
 from league.errors import ConfigError, StoreError
+from league.flags import Unset
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -27,7 +28,7 @@ NAMES_WIDTH, CELL_WIDTH = 18, 8  # Of the matrix of all against all, with the ga
 class ShowStandings(Reading):
     """Rate all entries from all races, and print the table."""
 
-    top: int | None = None  # Only so many.
+    top: Unset[int | None] = None  # Only so many.
 
     def run(self) -> None:
         season.at_least(self, "top", 1)
