@@ -181,6 +181,12 @@ def test_without_a_fight_the_camera_shows_the_leader():
     assert {(shot.front, shot.rear) for shot in shots([[10.0, 20.0, 0.0]] * 20)} == {(1, 1)}
 
 
+def test_in_a_pursuit_cars_that_have_driven_as_far_are_no_fight():
+    director = Director(fights=False)
+    seen = [director.add(k * STEP_S, scene([10.0 + k, 9.9 + k, 0.0])) for k in range(20)]
+    assert {(shot.front, shot.rear) for shot in seen} == {(0, 0)}
+
+
 def test_a_pass_is_no_cut_and_side_by_side_the_camera_stays():
     gaps = [0.5, 0.2, -0.05, 0.05, -0.05, -0.2, -0.5]
     seen = shots([[10.0, 10.0 - gap] for gap in gaps])

@@ -319,15 +319,20 @@ class Shot:
 
 
 class Director:
-    """Chooses what to show step by step; the same for a film and a live view."""
+    """Chooses what to show step by step; the same for a film and a live view.
 
-    def __init__(self) -> None:
+    Without `fights`, as in a pursuit, where a gap of nothing may be half a lap of road, it shows
+    the leader.
+    """
+
+    def __init__(self, *, fights: bool = True) -> None:
+        self._fights = fights
         self.shot: Shot | None = None  # what is shown; None before the first step
         self._open_s = 0.0  # when the fight of this shot was last undecided
 
     def add(self, time_s: float, cars: Cars) -> Shot:
         """Return what to show at a step that follows the one before."""
-        gaps = gaps_m(cars)
+        gaps = gaps_m(cars) if self._fights else {}
         if self.shot is None:
             self.shot = _best(gaps, cars, time_s)
             return self.shot

@@ -42,7 +42,8 @@ class Live:
         self._began_s: float | None = None
         self._chase: np.ndarray | None = None
         self._commentator = Commentator(spec, self._names, closed=track.closed)
-        self._director, self._events = Director(), list[Event]()
+        self._director = Director(fights=spec.format != "pursuit")
+        self._events = list[Event]()
         self._writer = SceneWriter(stream.recording, track, self._names, self._step_hz)
         kind, laps = spec.kind.replace("_", " "), times.laps(spec.laps)
         self._title = f"# {track.title}\n\n**{kind}**, {laps}, live"
