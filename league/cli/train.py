@@ -63,7 +63,7 @@ class Train:
     """Speeds LOW-HIGH [m/s] or LOW-HIGH@DEG for other than 30 deg of steering; NxM@SPEED for the
     classic grid of N steering angles and M speeds; or a model_metadata.json. By default that of
     --init-from, or else 0.5-4."""
-    sensors: Unset[tuple[str, ...] | None] = None
+    sensors: Annotated[Unset[tuple[str, ...] | None], tyro.conf.arg(metavar="SENSOR ...")] = None
     """stereoWxH, monoWxH, leftWxH, lidar, sectors, discretised, historyN, framesN, truth; or a
     model_metadata.json. By default what --init-from or the model_metadata.json of --action-space
     has, or else stereo64x48."""
