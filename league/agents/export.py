@@ -16,7 +16,7 @@ from league.atomic_file import replacing
 from league.envs.actions import ContinuousActions
 from league.envs.observations import MOTION_FIELDS, MOTION_SCALE
 from league.errors import PolicyError
-from league.sim.config import CameraConfig, SimConfig
+from league.sim.config import FRAME_STEPS, CameraConfig, SimConfig
 
 if TYPE_CHECKING:
     from onnx import ModelProto, NodeProto
@@ -107,7 +107,7 @@ def input_notes(card: Card) -> dict[str, dict[str, Any]]:
         notes[name] = {"dtype": dtype, "shape": ["rows", *shape]}
     camera, lidar = card.sensors.camera, card.sensors.lidar
     if camera is not None:
-        notes["stereo"] |= _picture_notes(camera)
+        notes["stereo"] |= _picture_notes(camera, card.sensors.frames)
     if lidar is not None:
         ranges = lidar.form == "ranges"
         notes["lidar"] |= {
@@ -121,15 +121,24 @@ def input_notes(card: Card) -> dict[str, dict[str, Any]]:
         "told": "(value - offset) / scale",
         "fields": _motion_notes(),
     }
+    if card.sensors.history:
+        read = [name for name in ("motion", "lidar") if name in notes]
+        notes["history"] |= {
+            "range": [-1, max(notes[name]["range"][1] for name in read)],
+            "readings": card.sensors.history,
+            "each": read,
+            "order": "of the last control steps, newest first; at first what is read now",
+        }
     return notes
 
 
-def _picture_notes(camera: CameraConfig) -> dict[str, Any]:
+def _picture_notes(camera: CameraConfig, frames: int) -> dict[str, Any]:
     eyes = ("left", "right") if camera.eyes == "stereo" else (camera.eyes,)
     colours = ("red", "green", "blue") if camera.colour else ("gray",)
+    ages = ("", *(f", {FRAME_STEPS * frame} steps before" for frame in range(1, frames)))
     return {
         "range": [0, 255],
-        "channels": [f"{eye} {colour}" for eye in eyes for colour in colours],
+        "channels": [f"{eye} {colour}{age}" for age in ages for eye in eyes for colour in colours],
         **({} if camera.colour else {"gray": LUMA}),
         "first_row": "top",
         "field_of_view_deg": round(math.degrees(camera.field_of_view), 2),
