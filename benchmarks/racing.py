@@ -3,9 +3,9 @@
     python -m benchmarks.racing [--races 200] [--solver bullet] [--track NAME] [POLICY.pt ...]
 
 Without policies the garage's duelist; of several, such as the seeds of one training, the medians
-are printed, too. A pass threshold is the fastest pace of a defender, as a
-share of the attacker's own flying lap, against which at least half of the three-lap attacks from
-one place behind succeed without a contact to blame for and without leaving the road.
+are printed, too. A pass threshold is the fastest pace of a defender, as a share of the attacker's
+own flying lap, against which at least half of the three-lap attacks from one place behind succeed
+without a contact to blame for and without leaving the road.
 """
 
 import argparse
@@ -79,7 +79,7 @@ def measure(path: str, cfg: DuelConfig) -> dict[str, Figure]:
         finished.append(seen.finished)
         row(place + 1, f"{seen.passed:.2f}", f"{seen.places:.2f}", f"{seen.finished:.3f}")
     show(f"from last of four against {names}: won", 100 * seen.passed, "%")
-    show("cars of these races that finish", 100 * min(finished), "%", 100)
+    show("cars of these races that finish", 100 * statistics.fmean(finished), "%", 100)
     twice_s = duels.solo_lap(cfg, load(path)) / HALF_PACE
     half = _top_speed(cfg, load("racing_line"), twice_s)
     for name, rival, top_speed in (

@@ -266,8 +266,8 @@ def first_stage(rounds: int = 20) -> None:
     One thread is counted in its core's own time, two by the fastest update: what a quiet machine
     does.
     """
-    ours = replace(learner_config(), kind="head_to_head", num_cars=4)
-    ours = replace(ours, sensors=SensorConfig(truth=True))
+    truth = SensorConfig(truth=True)
+    ours = replace(learner_config(), kind="head_to_head", num_cars=4, sensors=truth)
     tracks = TrackSet(files.load("reinvent_2018"))
     for name, number, clock, goal in (
         ("one thread, its own time", 1, time.process_time, 25_000),

@@ -126,7 +126,7 @@ class Race:
 
             listen = None if live is None else live.note
             # Without a file, too, the story is of the recording.
-            finished = lazy.race.run(spec, track=track, record=True, watch=watch, listen=listen)
+            finished = lazy.race.run(spec, track=track, watch=watch, listen=listen)
         written = None
         try:
             if finished.replay is not None and path is not None:
@@ -153,16 +153,17 @@ def _after_qualifying(spec: RaceSpec, track: Track, *, quiet: bool) -> RaceSpec:
 
 def _print_result(command: Race, finished: FinishedRace, replay: Path | None) -> None:
     result = finished.result
-    story = lazy.broadcast.of_replay(finished.replay) if finished.replay is not None else []
+    story = []
+    if finished.replay is not None and (command.json or len(result.order) > 1):
+        story = lazy.broadcast.of_replay(finished.replay)
     if command.json:
         document = {**result.model_dump(mode="json"), "story": [asdict(line) for line in story]}
         document["replay"] = str(replay) if replay else None
         print(json.dumps(document, indent=2))
         return
     _print_classification(result)
-    if len(result.order) > 1:
-        for line in lazy.broadcast.shortened(story, STORY_LINES):
-            print(textwrap.fill(line.stamped, tables.console().width, subsequent_indent="    "))
+    for line in lazy.broadcast.shortened(story, STORY_LINES):
+        print(textwrap.fill(line.stamped, tables.console().width, subsequent_indent="    "))
     if replay is not None:
         print(replay_line(replay))
 
