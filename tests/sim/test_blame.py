@@ -640,6 +640,20 @@ def test_driven_leader_that_laps_a_car_and_hits_it_is_to_blame(solver):
 
 
 @BOTH
+@pytest.mark.parametrize("laps", [0, 1, 2])
+@pytest.mark.parametrize("swerves", [0, 1])
+def test_driven_lapping_alongside_who_moves_across_is_to_blame(solver, laps, swerves):
+    # The faster car has come past by half a car's length, on the left, as one of them swerves.
+    race = Driven(solver, [(2.15, 0.15), (2.0, -0.15)], [2.4, 2.2])
+    for name in ("distance", "best_distance"):
+        race.env.world.cars[name][0, 0] += 20.0 * laps
+    straight, across = (0, 2.4), (-0.5 if swerves == 0 else 0.5, 2.4)
+    race.drive(10, *((across, straight) if swerves == 0 else (straight, across)))
+    assert set(race.that("crashed")) | set(race.that("touched")) == {swerves}
+    assert race.that("was_hit") == [1 - swerves]
+
+
+@BOTH
 def test_driven_chain_of_three_is_the_last_cars_fault(solver):
     race = Driven(solver, [(2.0, 0.0), (2.9, 0.0), (3.26, 0.0)], [3.5, 0.8, 0.8])
     race.drive(12, (0, 4.0), (0, 0.8), (0, 0.8))
