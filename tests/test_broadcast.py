@@ -182,9 +182,40 @@ def test_without_a_fight_the_camera_shows_the_leader():
 
 
 def test_in_a_pursuit_cars_that_have_driven_as_far_are_no_fight():
-    director = Director(fights=False)
-    seen = [director.add(k * STEP_S, scene([10.0 + k, 9.9 + k, 0.0])) for k in range(20)]
-    assert {(shot.front, shot.rear) for shot in seen} == {(0, 0)}
+    # The lead goes to and fro between cars that are a third of a lap of 30 m apart.
+    director = Director(30.0)
+    driven = [[10.0 + k, 10.0 + k + 0.1 * (-1) ** k, 9.5 + k] for k in range(90)]
+    seen = [director.add(k * STEP_S, scene(driven[k])) for k in range(90)]
+    assert {(shot.front, shot.rear) for shot in seen} == {(1, 1)}
+    assert seen[-1].sentence(("A", "B", "C"), scene(driven[-1]), 30.0) == ""
+    # The first comes to lead by more than a fight is long.
+    seen = [director.add((90 + k) * STEP_S, scene([112.0, 110.0, 109.5])) for k in range(60)]
+    assert (seen[-1].front, seen[-1].rear) == (0, 0)
+
+
+@pytest.mark.parametrize("caught_by", [(0, 2), (1, 0), (2, 1)])
+@pytest.mark.parametrize("laps", [0, 1, 7])
+def test_in_a_pursuit_who_catches_a_car_on_the_road_fights_with_it(caught_by, laps):
+    # The rear one begins a third of a lap of 30 m behind the front one, and so has driven farther.
+    rear, front = caught_by
+    commentator, director = Commentator(spec(3), "ABC", pursuit_m=30.0), Director(30.0)
+    lines, seen, cars = [], [], {}
+    for step in range(60):
+        driven = 30.0 * laps + 26.0 + 0.1 * step
+        distance = np.full(3, driven)
+        distance[rear] = driven + 9.0 + 0.02 * step
+        distance[3 - rear - front] = driven - 5.0
+        cars = scene(distance)
+        lines += commentator.add(2 + step * STEP_S, cars)
+        seen.append(director.add(2 + step * STEP_S, cars))
+    assert (seen[-1].front, seen[-1].rear) == (front, rear)
+    one, other = "ABC"[rear], "ABC"[front]
+    assert (lines[0].kind, lines[0].car) == ("attack", rear)
+    assert lines[0].text.startswith(f"{one} attacks {other}, 0.3")
+    assert lines[1].kind == "side_by_side"
+    assert len(lines) == 2
+    passes = commentator.add(6.0, cars, [Event(time_s=6.0, kind="overtake", car=rear, other=front)])
+    assert [line.text for line in passes] == [f"{one} passes {other}"]
 
 
 def test_a_pass_is_no_cut_and_side_by_side_the_camera_stays():

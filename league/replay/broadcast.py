@@ -14,6 +14,7 @@ from league import times
 from league.race_spec import Event, RaceResult, RaceSpec
 from league.replay.replay import Replay
 from league.sim.config import CarConfig
+from league.track.track import Track
 
 Cars = Mapping[str, np.ndarray] | np.ndarray
 """One moment's cars: records, or columns by name, (num_cars,) each; FIELDS are read."""
@@ -72,12 +73,14 @@ class _Fight:
 class Commentator:
     """Follows one race step by step; what it says depends on nothing later."""
 
-    def __init__(self, spec: RaceSpec, names: Sequence[str], *, closed: bool = True) -> None:
+    def __init__(
+        self, spec: RaceSpec, names: Sequence[str], *, closed: bool = True, pursuit_m: float = 0.0
+    ) -> None:
         """Begin before the start; `names` are the drivers', by grid slot.
 
-        On a track that is not closed a race is one lap.
+        On a track that is not closed a race is one lap. `pursuit_m` is what `pursuit_m` returns.
         """
-        self._spec, self._names = spec, names
+        self._spec, self._names, self._pursuit_m = spec, names, pursuit_m
         self._laps = spec.laps if closed else 1
         self._before: tuple[float, dict[str, np.ndarray]] | None = None  # time, columns of cars
         self._fights: dict[frozenset[int], _Fight] = {}
@@ -120,18 +123,17 @@ class Commentator:
         return [replace(line, lap=min(max(line.lap, 1), self._laps)) for line in lines]
 
     def _about_fights(self, time_s: float, cars: Cars) -> Iterable[tuple[str, int, str]]:
-        """Yield kind, car and text of what happens between neighbours in the running order."""
-        # In a pursuit a gap of nothing may be half a lap of road.
-        if self._before is None or time_s < AFTER_START_S or self._spec.format == "pursuit":
+        """Yield kind, car and text of what happens between neighbours."""
+        if self._before is None or time_s < AFTER_START_S:
             return
-        step_s, gaps = time_s - self._before[0], gaps_m(cars)
+        step_s, gaps = time_s - self._before[0], gaps_m(cars, self._pursuit_m)
+        places_before = places_m(self._before[1], self._pursuit_m)
         near = set(map(frozenset, gaps))
         for pair, fight in self._fights.items():
             if pair not in near:
                 fight.attacker = None
         for (front, rear), gap in gaps.items():
-            distance = self._before[1]["distance"]
-            before = float(distance[front] - distance[rear])
+            before = float(places_before[front] - places_before[rear])
             fight = self._fights.setdefault(frozenset((front, rear)), _Fight())
             if gap > APART:
                 if fight.attacker == rear:
@@ -144,7 +146,7 @@ class Commentator:
             if gap >= LEVEL and closing > CLOSING and fight.attacker is None:
                 fight.attacker = rear
                 if _is_news(fight, "attack", time_s):
-                    behind_s = gap_s(cars, front, rear)
+                    behind_s = _seconds(gap, cars, rear)
                     text = f"{self._of(rear)} attacks {self._of(front)}, {behind_s:.2f} s behind"
                     yield "attack", rear, text
             if gap < LEVEL and _is_news(fight, "side_by_side", time_s):
@@ -170,9 +172,12 @@ class Commentator:
         again = fight.passed is not None and fight.passed[0] == other
         back = again and fight.passed is not None and event.time_s - fight.passed[1] < BACK_S
         fight.passed, fight.attacker = (event.car, event.time_s), None
+        passes = f"{self._of(event.car)} passes {self._of(other)}{' back' * back}"
+        if self._pursuit_m:
+            return passes  # On the road: the places go by the distance driven.
         place = 1 + int((np.asarray(cars["distance"]) > cars["distance"][event.car]).sum())
         prize = "the lead" if place == 1 else f"place {place}"
-        return f"{self._of(event.car)} passes {self._of(other)}{' back' * back} for {prize}"
+        return f"{passes} for {prize}"
 
     def _gap_at_line(self, car: int, lap_s: float) -> Iterable[tuple[str, int, str]]:
         """Yield the gap of the first two at the end of a lap, and the winner's at the last."""
@@ -232,17 +237,38 @@ class Commentator:
         return f" at {closing:.1f} m/s" if closing >= 0.05 else ""
 
 
-def gaps_m(cars: Cars) -> dict[tuple[int, int], float]:
-    """Return the gaps of neighbours in the running order that race, by (front, rear) [m]."""
-    distance, ghost = np.asarray(cars["distance"]), np.asarray(cars["ghost"]).astype(bool)
-    order = [car for car in np.argsort(-distance, kind="stable").tolist() if not ghost[car]]
-    return {(one, other): float(distance[one] - distance[other]) for one, other in pairwise(order)}
+def pursuit_m(spec: RaceSpec, track: Track) -> float:
+    """Return the length of a lap [m] if a race is a pursuit, else 0."""
+    return track.length if spec.format == "pursuit" else 0.0
 
 
-def gap_s(cars: Cars, front: int, rear: int) -> float:
-    """Return the time that the rear car needs at its speed to where the front one is [s]."""
+def places_m(cars: Cars, pursuit_m: float = 0.0) -> np.ndarray:
+    """Return how far ahead each car is, (num_cars,) [m]: cars that fight have near places.
+
+    That is the distance driven. In a pursuit, with a lap of `pursuit_m`, cars that have driven as
+    far may be half a lap of road apart; there it is the place on the road, counted from the largest
+    empty stretch.
+    """
+    distance = np.asarray(cars["distance"], np.float64)
+    if not pursuit_m:
+        return distance
+    on_road = (distance - np.arange(len(distance)) * pursuit_m / len(distance)) % pursuit_m
+    ordered = np.sort(on_road)
+    free = np.diff(ordered, prepend=ordered[-1] - pursuit_m)  # before each of them
+    return (on_road - ordered[free.argmax()]) % pursuit_m
+
+
+def gaps_m(cars: Cars, pursuit_m: float = 0.0) -> dict[tuple[int, int], float]:
+    """Return the gaps of neighbours by `places_m` that race, by (front, rear) [m]."""
+    place, ghost = places_m(cars, pursuit_m), np.asarray(cars["ghost"]).astype(bool)
+    order = [car for car in np.argsort(-place, kind="stable").tolist() if not ghost[car]]
+    return {(one, other): float(place[one] - place[other]) for one, other in pairwise(order)}
+
+
+def _seconds(gap: float, cars: Cars, rear: int) -> float:
+    """Return the time that the rear car needs for a gap [m] at its speed [s]."""
     speed = float(np.hypot(cars["velocity_x"][rear], cars["velocity_y"][rear]))
-    return float(cars["distance"][front] - cars["distance"][rear]) / max(speed, 0.5)
+    return gap / max(speed, 0.5)
 
 
 def shortened(lines: Sequence[Remark], most: int = 12) -> list[Remark]:
@@ -287,7 +313,9 @@ def of_replay(replay: Replay, *, over: bool = True) -> list[Remark]:
     events: dict[int, list[Event]] = {}
     for event in replay.result.events:
         events.setdefault(round(event.time_s * replay.step_hz), []).append(event)
-    commentator = Commentator(replay.spec, replay.names, closed=replay.track.closed)
+    track = replay.track
+    lap_m = pursuit_m(replay.spec, track)
+    commentator = Commentator(replay.spec, replay.names, closed=track.closed, pursuit_m=lap_m)
     lines: list[Remark] = []
     for frame, (time_s, cars) in enumerate(moments(replay)):
         lines += commentator.add(time_s, cars, events.get(frame, ()))
@@ -305,9 +333,10 @@ class Shot:
     rear: int  # the car behind, from behind which both are seen; `front` if it is alone
     since_s: float  # when the shot began [s]
 
-    def sentence(self, names: tuple[str, ...], cars: Cars) -> str:
+    def sentence(self, names: tuple[str, ...], cars: Cars, pursuit_m: float = 0.0) -> str:
         """Return who attacks and the gap in seconds; empty if no car is near or one is a ghost."""
-        gap = abs(float(cars["distance"][self.front] - cars["distance"][self.rear]))
+        place = places_m(cars, pursuit_m)
+        gap = float(abs(place[self.front] - place[self.rear]))
         ghost = cars["ghost"][self.front] or cars["ghost"][self.rear]
         if self.front == self.rear or gap > APART or ghost:
             return ""
@@ -315,24 +344,21 @@ class Shot:
         if gap < LEVEL:
             return f"{rear} and {front} side by side"
         does = "attacks" if gap < ATTACK else "chases"
-        return f"{rear} {does} {front}, {gap_s(cars, self.front, self.rear):.1f} s"
+        return f"{rear} {does} {front}, {_seconds(gap, cars, self.rear):.1f} s"
 
 
 class Director:
-    """Chooses what to show step by step; the same for a film and a live view.
+    """Chooses what to show step by step; the same for a film and a live view."""
 
-    Without `fights`, as in a pursuit, where a gap of nothing may be half a lap of road, it shows
-    the leader.
-    """
-
-    def __init__(self, *, fights: bool = True) -> None:
-        self._fights = fights
+    def __init__(self, pursuit_m: float = 0.0) -> None:
+        """Begin before the start; `pursuit_m` is what `pursuit_m` returns."""
+        self._pursuit_m = pursuit_m
         self.shot: Shot | None = None  # what is shown; None before the first step
         self._open_s = 0.0  # when the fight of this shot was last undecided
 
     def add(self, time_s: float, cars: Cars) -> Shot:
         """Return what to show at a step that follows the one before."""
-        gaps = gaps_m(cars) if self._fights else {}
+        gaps = gaps_m(cars, self._pursuit_m)
         if self.shot is None:
             self.shot = _best(gaps, cars, time_s)
             return self.shot
@@ -350,6 +376,7 @@ class Director:
         best = _best(gaps, cars, time_s)
         decided = time_s - self._open_s >= HOLD_S
         other = {best.front, best.rear} != {shot.front, shot.rear}
+        other = other and not _is_level(best, shot, cars)
         # The camera does not leave an attack, and what happened at its end is still shown.
         dull = gap is not None and ATTACK < gap <= PACK
         closer = dull and gaps.get((best.front, best.rear), np.inf) <= CLOSER * (gap or 0.0)
@@ -369,6 +396,16 @@ def _best(gaps: dict[tuple[int, int], float], cars: Cars, time_s: float) -> Shot
     distance = np.where(ghost & ~ghost.all(), -np.inf, cars["distance"])
     leader = int(distance.argmax())
     return Shot(leader, leader, time_s)
+
+
+def _is_level(best: Shot, shot: Shot, cars: Cars) -> bool:
+    """Return whether a car alone has hardly driven farther than one that is shown and races.
+
+    In a pursuit the lead may go to and fro between cars that are half a lap of road apart.
+    """
+    racing = not (cars["ghost"][shot.front] or cars["ghost"][shot.rear])
+    lead = float(cars["distance"][best.front] - cars["distance"][shot.rear])
+    return best.front == best.rear and racing and lead < APART
 
 
 @dataclass(frozen=True)
@@ -400,17 +437,17 @@ def chase_path(replay: Replay) -> ChasePath:
     """
     from scipy.ndimage import gaussian_filter1d  # late: SciPy takes a while
 
-    columns, director = replay.columns, Director()
+    lap_m = pursuit_m(replay.spec, replay.track)
+    columns, director = replay.columns, Director(lap_m)
     subject, rival = (np.empty(replay.num_frames, np.int64) for _ in range(2))
+    gap = np.empty(replay.num_frames)  # between these two [m]
     take, fights = np.zeros(replay.num_frames, np.int64), []
     for frame, (time_s, cars) in enumerate(moments(replay)):
         before, shot = director.shot, director.add(time_s, cars)
-        if replay.spec.format == "pursuit":
-            # A gap of nothing may be half a lap of road: the winner is followed.
-            winner = replay.result.order[0].car
-            shot = Shot(winner, winner, 0.0)
         subject[frame], rival[frame] = shot.rear, shot.front
-        fights.append(shot.sentence(replay.names, cars))
+        fights.append(shot.sentence(replay.names, cars, lap_m))
+        place = places_m(cars, lap_m)
+        gap[frame] = abs(place[shot.front] - place[shot.rear])
         cut = before is not None and before.since_s != shot.since_s > 0.0
         # A short way is gone rather than cut: a jump by a car's length looks like a fault.
         old = subject[max(frame - 1, 0)]
@@ -420,7 +457,6 @@ def chase_path(replay: Replay) -> ChasePath:
     rows, sigma = np.arange(replay.num_frames), SMOOTHING_S * replay.step_hz
     x, y = columns.x[rows, subject], columns.y[rows, subject]
     yaw = columns.yaw[rows, subject]
-    gap = np.abs(columns.distance[rows, subject] - columns.distance[rows, rival])
     aside_x, aside_y = columns.x[rows, rival] - x, columns.y[rows, rival] - y
     aside = np.cos(yaw) * aside_y - np.sin(yaw) * aside_x  # how far left the other one is [m]
     aside *= 0.5 * (2.0 - 2.0 * gap / ATTACK).clip(0.0, 1.0)

@@ -11,7 +11,7 @@ import rerun as rr
 
 from league import times
 from league.race_spec import Event, RaceResult, RaceSpec
-from league.replay.broadcast import PACK, Commentator, Director
+from league.replay.broadcast import PACK, Commentator, Director, pursuit_m
 from league.rerun_view import layout, record
 from league.rerun_view.scene import SceneWriter, positions, rotation, speeds
 from league.rerun_view.viewer import Stream
@@ -41,8 +41,11 @@ class Live:
         self._step_hz = SimConfig().step_hz
         self._began_s: float | None = None
         self._chase: np.ndarray | None = None
-        self._commentator = Commentator(spec, self._names, closed=track.closed)
-        self._director = Director(fights=spec.format != "pursuit")
+        self._lap_m = pursuit_m(spec, track)
+        self._commentator = Commentator(
+            spec, self._names, closed=track.closed, pursuit_m=self._lap_m
+        )
+        self._director = Director(self._lap_m)
         self._events = list[Event]()
         self._writer = SceneWriter(stream.recording, track, self._names, self._step_hz)
         kind, laps = spec.kind.replace("_", " "), times.laps(spec.laps)
@@ -77,7 +80,8 @@ class Live:
         self._events.clear()
         order = [self._names[slot] for slot in np.argsort(gaps[0], kind="stable")]
         shot = self._director.add(float(times[0]), cars[0])
-        text = record.running_order(self._title, order, shot.sentence(self._names, cars[0]))
+        fight = shot.sentence(self._names, cars[0], self._lap_m)
+        text = record.running_order(self._title, order, fight)
         if text != self._shown:
             self._shown = text
             self._writer.send_text(layout.TITLE, times, [text])
