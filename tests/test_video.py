@@ -17,7 +17,7 @@ from tests.recorded import by_hand, moved, raced
 
 
 def thing(model, *columns, colour):
-    """Return a row of SceneState.things, in colour."""
+    """Return a row of things_of, in colour."""
     return np.array([MODELS.index(model), *columns, *lit(colour, gray=False)])
 
 

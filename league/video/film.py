@@ -23,7 +23,7 @@ from league.sim.camera import painting
 from league.sim.camera.ground import floor_of
 from league.sim.camera.renderer import Painter
 from league.sim.camera.scene import CAR, FAR_CAR, MODELS, SUN
-from league.sim.camera.scene_state import Lens, SceneState
+from league.sim.camera.scene_state import Lens, things_of
 from league.sim.camera.tables import SHADE, Floor, Pose
 from league.sim.records import World
 from league.track.markings import placed
@@ -146,7 +146,7 @@ class Film:
         """Return the pictures of these moments, RGB uint8, (height, width, 3) each."""
         world = self._replay.at(times_s)
         x, y, yaw = self._eye(np.clip(times_s, 0.0, self._replay.duration_s))
-        things, pictures = SceneState(self._replay.sim, world).things(gray=False), []
+        things, pictures = things_of(self._replay.sim, world, gray=False), []
         tilt_cos, tilt_sin = direction(TILT)
         for row, time_s in enumerate(times_s):
             east, north = np.array([x[row], y[row]], np.float32).tolist()
@@ -203,7 +203,7 @@ class _ShadowPainter(Painter):
     def picture(self, pose: Pose, things: np.ndarray) -> np.ndarray:
         """Return what is seen from a place, RGB uint8, (height, width, 3).
 
-        `things` are those of a world, lit; see SceneState.things.
+        `things` are those of a world, lit; see `things_of`.
         """
         pictures = np.empty((1, 1, self._lens.height, self._lens.width, 3), np.uint8)
         seen = np.zeros(1, np.int64), pictures, np.array([pose]), things[None], self._floor
@@ -220,7 +220,7 @@ def shadow_of(thing: np.ndarray) -> np.ndarray:
     """Return the outline of what keeps the sun from the floor, as sides for `draw_shadow`.
 
     It is the hull of all corners, each moved along the light down to the floor: (sides, 3). The
-    thing is a row of SceneState.things.
+    thing is a row of `things_of`.
     """
     kind, x, y, cos, sin, _, *scale = thing[:SHADE].tolist()
     model = FAR_CAR if MODELS[int(kind)] is CAR else MODELS[int(kind)]  # with wheels as one block

@@ -9,7 +9,6 @@ import numpy as np
 from league import times
 from league.replay import Replay, broadcast
 from league.sim.camera.scene import CAR_COLOURS
-from league.sim.camera.scene_state import SceneState
 from league.sim.records import World
 from league.track.markings import Plan
 from league.track.track import Rgb
@@ -220,7 +219,7 @@ class TopView:
     def draw(self, replay: Replay, world: World, row: int) -> np.ndarray:
         """Return the picture of one world of a batch, RGB."""
         plan = replace(self._plan, picture=self._plan.picture.copy())
-        draw_things(plan, SceneState(replay.sim, world.row(row)), size=_LARGER)
+        draw_things(plan, replay.sim, world.row(row), size=_LARGER)
         return plan.picture
 
 

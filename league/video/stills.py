@@ -12,7 +12,7 @@ from league.replay import Replay
 from league.sim.camera.ground import floor_of
 from league.sim.camera.renderer import Painter, Renderer
 from league.sim.camera.scene import BOX, CAR, GLASS, MODELS, lit
-from league.sim.camera.scene_state import Lens, SceneState
+from league.sim.camera.scene_state import Lens, things_of
 from league.sim.camera.tables import Pose
 from league.sim.config import CameraConfig, SimConfig
 from league.sim.records import World
@@ -46,15 +46,14 @@ def chase_view(
 
     RGB uint8, (height, width, 3).
     """
-    state = SceneState(sim, world.row(row))
-    track = tracks.tracks[state.track[0]]
+    track = tracks.tracks[world.track[row]]
     focal = width * _FINER / 2 / math.tan(CHASE_FIELD_OF_VIEW / 2)
     lens = Lens(width * _FINER, height * _FINER, focal)
     x, y, yaw = world.cars[["x", "y", "yaw"]][row, car].tolist()
     pose = _behind(x, y, yaw, track.room)
     floor = floor_of(track, lens, CHASE_UP, CHASE_PITCH, colour=True)
     picture = np.empty((1, 1, lens.height, lens.width, 3), np.uint8)
-    only, things = np.zeros(1, np.int64), state.things(gray=False)
+    only, things = np.zeros(1, np.int64), things_of(sim, world.row(row), gray=False)
     Painter(lens, gray=False).paint(only, picture, np.array([pose]), things, floor)
     return cv2.resize(picture[0, 0], (width, height), interpolation=cv2.INTER_AREA)
 
@@ -63,23 +62,22 @@ def top_view(
     tracks: TrackSet, sim: SimConfig, world: World, row: int, width: int, height: int
 ) -> np.ndarray:
     """Return the whole room of a world from above, +y up, RGB uint8, (height, width, 3)."""
-    state = SceneState(sim, world.row(row))
-    plan = _room(tracks.tracks[state.track[0]], width * _FINER, height * _FINER)
+    plan = _room(tracks.tracks[world.track[row]], width * _FINER, height * _FINER)
     plan = replace(plan, picture=plan.picture.copy())
     size = max(1.0, _SMALLEST_CAR * _FINER * plan.pixel / (2 * CAR.half_length))
-    draw_things(plan, state, size=size, line=_FINER, numbers=True)
+    draw_things(plan, sim, world.row(row), size=size, line=_FINER, numbers=True)
     return cv2.resize(plan.picture, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def draw_things(
-    plan: Plan, state: SceneState, *, size: float, line: int = 1, numbers: bool = False
+    plan: Plan, sim: SimConfig, world: World, *, size: float, line: int = 1, numbers: bool = False
 ) -> None:
-    """Draw the obstacles and cars of a SceneState's first world on a plan's picture.
+    """Draw the obstacles and cars of the first world on a plan's picture.
 
     Cars are drawn `size` times larger than they are, so that they can be seen, fine lines `line` px
     wide, and with `numbers` each car's number on the left of its way.
     """
-    things, num_cars = state.things()[0], state.num_cars
+    things, num_cars = things_of(sim, world)[0], world.num_cars
     length = 2 * size * CAR.half_length
     # The first car on top.
     for slot in [*range(num_cars, len(things)), *reversed(range(num_cars))]:

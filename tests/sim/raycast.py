@@ -7,8 +7,6 @@ import numpy as np
 
 from league.sim.camera import visual_randomization
 from league.sim.camera.raycast import Describer, cast_pixel, develop_pixel
-from league.sim.camera.scene_state import SceneState
-from league.sim.camera.visual_randomization import Look
 
 
 @numba.njit
@@ -26,9 +24,9 @@ def develop(rows: Any, grain: Any, taken: Any, pictures: Any) -> None:
 class RayRenderer(Describer):
     """Makes the pictures that its descriptions stand for."""
 
-    def _draw(self, state: SceneState, car: int, look: Look | None) -> np.ndarray:
+    def _draw(self, tracks, poses, things, look) -> np.ndarray:
         cfg = self._camera
-        rows = super()._draw(state, car, look)[:, 0, 0]
+        rows = super()._draw(tracks, poses, things, look)[:, 0, 0]
         shape = (len(rows), cfg.num_eyes, cfg.height, cfg.width, self.channels)
         pictures = np.zeros(shape, np.uint8)
         cast(rows, self.first_thing, self.scenery(), pictures)

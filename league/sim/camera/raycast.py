@@ -22,7 +22,7 @@ from league.sim.camera.scene import (
     far_from,
     luma,
 )
-from league.sim.camera.scene_state import NEAR, SceneState, mount_of
+from league.sim.camera.scene_state import NEAR
 from league.sim.camera.tables import THING_COLUMNS, Pose
 from league.sim.camera.visual_randomization import NOISE_STEP, Look
 
@@ -67,11 +67,12 @@ class Scenery(NamedTuple):
 class Describer(Renderer):
     """Hands out what a camera sees as a row of numbers for each world, from which rays are cast."""
 
-    def _draw(self, state: SceneState, car: int, look: Look | None) -> np.ndarray:
+    def _draw(
+        self, tracks: np.ndarray, poses: np.ndarray, things: np.ndarray, look: Look | None
+    ) -> np.ndarray:
         """Return a description of each world; float32 (num_rows, 1, 1, size)."""
-        poses, things = state.tables(car, mount_of(self._camera), gray=not self._camera.colour)
         size = things.shape[1] * things.shape[2]
-        columns = [state.track[:, None], poses]
+        columns = [tracks[:, None], poses]
         if look is not None:
             columns += [look.gain, look.leak[:, None], look.noise[:, None], look.place[:, None]]
         rows = np.concatenate(

@@ -15,7 +15,7 @@ import numpy as np
 
 from league.sim.camera import painting, scene, visual_randomization
 from league.sim.camera.ground import floor_of
-from league.sim.camera.scene_state import NEAR, Lens, SceneState, mount_of
+from league.sim.camera.scene_state import NEAR, Lens, mount_of, seen_by
 from league.sim.camera.tables import MOST_CORNERS, Floor, Models, Optics
 from league.sim.camera.visual_randomization import Look
 from league.sim.config import CameraConfig, SimConfig, VisualRandomization
@@ -53,10 +53,14 @@ class Renderer:
         Channels are left gray, right gray; in colour the left eye's red, green, blue, then the
         right eye's. `rows` are the worlds to render, int64; None for all.
         """
-        if self._looks is None:
-            return self._draw(SceneState(self._sim, world, rows), car, None)
-        look = visual_randomization.draw(self._looks, world, rows, car, self._camera.colour)
-        return self._draw(SceneState(self._sim, world, rows, look.tint), car, look)
+        rows = np.arange(world.num_worlds) if rows is None else rows
+        looks, colour, look, tint = self._looks, self._camera.colour, None, None
+        if looks is not None:
+            look = visual_randomization.draw(looks, world, rows, car, colour)
+            tint = look.tint
+        mount = mount_of(self._camera)
+        poses, things = seen_by(self._sim, world, rows, car, mount, gray=not colour, tint=tint)
+        return self._draw(world.track[rows], poses, things, look)
 
     def _floor(self, track: int) -> Floor:
         if track not in self._floors:
@@ -70,14 +74,15 @@ class Renderer:
         cv2.setNumThreads(1)
         return Painter(self._lens, gray=not self._camera.colour, sky=self._sky)
 
-    def _draw(self, state: SceneState, car: int, look: Look | None) -> np.ndarray:
-        """Return the pictures of a car in all worlds of a SceneState."""
+    def _draw(
+        self, tracks: np.ndarray, poses: np.ndarray, things: np.ndarray, look: Look | None
+    ) -> np.ndarray:
+        """Return the pictures of a car in some worlds, each on a track of the set."""
         cfg = self._camera
-        poses, things = state.tables(car, mount_of(cfg), gray=not cfg.colour)
         shape = (len(poses), cfg.num_eyes, cfg.height, cfg.width)
         pictures = np.empty((*shape, 3) if cfg.colour else shape, np.uint8)
-        for track in set(state.track.tolist()):
-            self._paint(np.flatnonzero(state.track == track), pictures, poses, things, track)
+        for track in set(tracks.tolist()):
+            self._paint(np.flatnonzero(tracks == track), pictures, poses, things, track)
         if look is not None:
             for row, picture in enumerate(pictures):
                 visual_randomization.develop(picture, look, row)

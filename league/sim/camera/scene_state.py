@@ -74,60 +74,47 @@ class Lens:
         return height / fall if fall > 0 else math.inf
 
 
-class SceneState:
-    """Some worlds of a batch, ready to be looked at from any car."""
-
-    def __init__(
-        self,
-        sim: SimConfig,
-        world: World,
-        rows: np.ndarray | None = None,
-        tint: np.ndarray | None = None,
-    ) -> None:
-        """Look at the worlds at `rows` (None: all), with bodies tinted as Look.tint says."""
-        self._rows = np.arange(world.num_worlds) if rows is None else rows
-        self._cars, self._obstacles = _plain(world.cars), _plain(world.obstacles)
-        self._tint = tint
-        self.num_cars = world.num_cars
-        self.track = world.track if rows is None else world.track[rows]
-        """Row of the TrackSet that each world is on, int64 (num_rows,)."""
-        self._obstacle_model = _CAR if sim.obstacles.kind == "bot" else _BOX
-        self._box_height = float(sim.obstacles.height)
-
-    def tables(
-        self, car: int, mount: Mount, *, gray: bool | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return where a car's camera is in each world, and which things it may see.
-
-        Args:
-            car: the slot, and this car is not among the things.
-            mount: how the camera is bolted to the car.
-            gray: for which pictures colours are lit; None leaves them as they are.
-
-        Returns:
-            Fields of Pose, float64 (num_rows, 9), and things, float64 (num_rows, num_things,
-            THING_COLUMNS): the cars, by slot, then the obstacles.
-        """
-        num_obstacles = self._obstacles.shape[1]
-        colours = _colours(self.num_cars, num_obstacles, self._obstacle_model, gray)
-        if self._tint is not None:
-            plain = _colours(self.num_cars, num_obstacles, self._obstacle_model, None)[..., :3]
-            colours = np.minimum(plain * self._tint[:, :, None], 255.0)  # (rows, bodies, 2, 3)
-            colours = _lit(colours, gray)
-        count = self.num_cars + num_obstacles - (car >= 0)
-        poses = np.empty((len(self._rows), len(Pose._fields)))
-        things = np.empty((len(self._rows), count, THING_COLUMNS))
-        shapes = (_CAR, self._obstacle_model), self._box_height, colours
-        stand(self._rows, car, self._cars, self._obstacles, mount, *shapes, poses, things)
-        return poses, things
-
-    def things(self, *, gray: bool | None = None) -> np.ndarray:
-        """Return all cars, by slot, then the obstacles; see `tables`."""
-        return self.tables(-1, _NO_MOUNT, gray=gray)[1]
-
-
 _CAR, _BOX = MODELS.index(CAR), MODELS.index(BOX)
 _NO_MOUNT = Mount(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def seen_by(
+    sim: SimConfig,
+    world: World,
+    rows: np.ndarray,
+    car: int,
+    mount: Mount,
+    *,
+    gray: bool | None,
+    tint: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the camera of the car in a slot is in some worlds, and which things it may see.
+
+    `rows` are the worlds, int64 (num_rows,). The car itself is not among the things. `mount` is how
+    the camera is bolted to it, `gray` for which pictures colours are lit (None leaves them as they
+    are), and `tint` that of a Look.
+
+    Returns:
+        Fields of Pose, float64 (num_rows, 9), and things, float64 (num_rows, num_things,
+        THING_COLUMNS): the cars, by slot, then the obstacles.
+    """
+    bodies = world.num_cars, world.num_obstacles, _CAR if sim.obstacles.kind == "bot" else _BOX
+    colours = _colours(*bodies, gray)
+    if tint is not None:
+        plain = _colours(*bodies, None)[..., :3]
+        colours = np.minimum(plain * tint[:, :, None], 255.0)  # (rows, bodies, 2, 3)
+        colours = _lit(colours, gray)
+    count = world.num_cars + world.num_obstacles - (car >= 0)
+    poses = np.empty((len(rows), len(Pose._fields)))
+    things = np.empty((len(rows), count, THING_COLUMNS))
+    shapes = (_CAR, bodies[2]), float(sim.obstacles.height), colours
+    stand(rows, car, _plain(world.cars), _plain(world.obstacles), mount, *shapes, poses, things)
+    return poses, things
+
+
+def things_of(sim: SimConfig, world: World, *, gray: bool | None = None) -> np.ndarray:
+    """Return all cars of each world, by slot, then the obstacles; see `seen_by`."""
+    return seen_by(sim, world, np.arange(world.num_worlds), -1, _NO_MOUNT, gray=gray)[1]
 
 
 def mount_of(cfg: CameraConfig) -> Mount:
@@ -163,7 +150,7 @@ def _plain(array: np.ndarray) -> np.ndarray:
 def stand(rows, car, cars, obstacles, mount, kinds, box_height, colours, poses, things):
     """Write where the camera of one car is in the worlds `rows`, and what it may see there.
 
-    `poses` and `things` are set; see SceneState.tables. The car does not see itself; -1: no camera,
+    `poses` and `things` are set; see `seen_by`. The car does not see itself; -1: no camera,
     and all cars are seen. `kinds` are the numbers of the models of cars and obstacles,
     `colours` those of each body, and when it is frozen: three numbers in the shade and three that
     full sun adds, float64 (num_rows or 1, num_bodies, 2, 6).

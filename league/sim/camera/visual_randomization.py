@@ -33,12 +33,9 @@ class Look:
     place: np.ndarray  # where in the noise this picture begins, int64, (num_rows,)
 
 
-def draw(
-    cfg: VisualRandomization, world: World, rows: np.ndarray | None, car: int, colour: bool
-) -> Look:
+def draw(cfg: VisualRandomization, world: World, rows: np.ndarray, car: int, colour: bool) -> Look:
     """Draw how the pictures of one car look in some worlds."""
-    worlds = world.worlds if rows is None else world.worlds[rows]
-    seed, step = worlds["seed"], worlds["step"]
+    seed, step = world.worlds["seed"][rows], world.worlds["step"][rows]
     wide = seed[:, None]
     channels = np.arange(3 if colour else 1)
     bodies = np.arange(world.num_cars + world.num_obstacles)
