@@ -72,9 +72,9 @@ def sincos(angle):
 
 @compiled
 def direction(angle):
-    """Return the cosine and the sine of an angle [rad] to Python, rounded to float32."""
+    """Return the cosine and the sine of an angle [rad], rounded to float32, as float64."""
     sine, cosine = sincos(f32(angle))
-    return float(cosine), float(sine)
+    return np.float64(cosine), np.float64(sine)
 
 
 @inner

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from league.jit import compiled, inner
-from league.portable_math import f32, sincos
+from league.portable_math import direction
 from league.sim.config import CarConfig
 from league.sim.settings import GRAVITY
 from league.track.projection import frame_at
@@ -82,20 +82,15 @@ class CarLimits(NamedTuple):
         lateral = share * car.grip * GRAVITY
         transfer = 2 * car.mass_height / car.wheelbase / GRAVITY if load_transfer else 0.0
         most = spare_grip(0.0, lateral, transfer)
+        cos, sin = direction(car.max_steering)
         return cls(
             lateral=lateral,
             acceleration=min(float(car.max_acceleration), most),
             braking=min(float(car.max_braking), most),
             speed=float(car.max_speed),
-            curvature=_tangent(car.max_steering) / car.wheelbase,
+            curvature=sin / cos / car.wheelbase,
             transfer=transfer,
         )
-
-
-@compiled
-def _tangent(angle):
-    sine, cosine = sincos(f32(angle))
-    return np.float64(sine) / np.float64(cosine)
 
 
 @compiled

@@ -19,7 +19,7 @@ from league.track.track import TrackSet
 NEAR_SECTOR = 0.5  # a sector reads 1 when something stands within this range [m]
 
 _NOISE = 7_320_001  # purpose of the draws (see league.sim.rng)
-_FAR, _TINY, _ZERO, _HALF = f32(1e9), f32(1e-9), f32(0.0), f32(0.5)
+_TINY, _ZERO = f32(1e-9), f32(0.0)
 
 
 def beam_angles(cfg: LidarConfig) -> list[float]:

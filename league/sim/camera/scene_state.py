@@ -12,7 +12,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from league.jit import compiled, inner
-from league.portable_math import direction, f32, sincos
+from league.portable_math import direction, f32
 from league.sim.camera import tables
 from league.sim.camera.scene import (
     BOT_COLOUR,
@@ -181,26 +181,19 @@ def _put(thing, model, body, steering, colour):
     """Write a body of its model's own size."""
     thing[tables.MODEL], thing[tables.STEERING] = model, steering
     thing[tables.X], thing[tables.Y] = body.x, body.y
-    thing[tables.COS], thing[tables.SIN] = _direction(body.yaw)
+    thing[tables.COS], thing[tables.SIN] = direction(body.yaw)
     thing[tables.ALONG], thing[tables.ACROSS], thing[tables.UPWARD] = 1.0, 1.0, 1.0
     for k in range(THING_COLUMNS - tables.SHADE):
         thing[tables.SHADE + k] = colour[k]
 
 
 @inner
-def _direction(angle):
-    """Return the cosine and the sine of an angle [rad], rounded to float32, as float64."""
-    sine, cosine = sincos(f32(angle))
-    return f64(cosine), f64(sine)
-
-
-@inner
 def _pose(pose, car, mount):
     """Write the fields of Pose of a car's camera."""
     x, y, z = f64(car.x), f64(car.y), f64(car.z)
-    cos, sin = _direction(car.yaw)
+    cos, sin = direction(car.yaw)
     up = mount.up + f64(car.camera_up)
-    tilt_cos, tilt_sin = _direction(mount.pitch + f64(car.camera_pitch))
+    tilt_cos, tilt_sin = direction(mount.pitch + f64(car.camera_pitch))
     if car.roll == 0 and car.pitch == 0:
         pose[0], pose[1] = x + cos * mount.forward, y + sin * mount.forward
         pose[2] = max(up + z, mount.min_height)
@@ -208,8 +201,8 @@ def _pose(pose, car, mount):
         pose[7], pose[8] = 1.0, 0.0
         return
     # The body's axes (ahead, to the left, up) in the frame of its yaw.
-    roll_cos, roll_sin = _direction(car.roll)
-    pitch_cos, pitch_sin = _direction(car.pitch)
+    roll_cos, roll_sin = direction(car.roll)
+    pitch_cos, pitch_sin = direction(car.pitch)
     ahead_axis = pitch_cos, 0.0, -pitch_sin
     left_axis = pitch_sin * roll_sin, roll_cos, pitch_cos * roll_sin
     up_axis = pitch_sin * roll_cos, -roll_sin, pitch_cos * roll_cos

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from league.jit import compiled, inner
-from league.portable_math import f32, heading_of, sincos, wrap_angle
+from league.portable_math import direction, f32, heading_of, wrap_angle
 from league.sim.config import CarConfig
 from league.sim.physics import vehicle
 from league.sim.settings import GRAVITY
@@ -89,7 +89,7 @@ def place_boxes(obstacles, up, bodies):
             thing, body = obstacles[w, k], bodies[w, k]
             body[:] = 0.0
             body[0], body[1], body[2] = thing.x, thing.y, up
-            body[5], body[6] = sincos(thing.yaw * _HALF)
+            body[6], body[5] = direction(thing.yaw * _HALF)
             body[7], body[8] = thing.velocity_x, thing.velocity_y
 
 
@@ -161,7 +161,7 @@ def _load(car, body, settings, chassis, target_speed, out):
     # Open differentials: each wheel is asked for a quarter of the force.
     asked = vehicle.asked_acceleration(settings, target_speed, f32(ahead)) * car.mass * _QUARTER
     cap, slope = chassis.cap * car.mass, settings.slope_of_grip / car.grip
-    steering, share = sincos(car.steering), mass * (GRAVITY / 4)
+    steering, share = direction(car.steering), mass * (GRAVITY / 4)
     for front, left in _WHEELS:
         along, across = front * settings.arm, left * settings.half_track
         rx, ry, rz, vx, vy, vz, lift = _foot(body, axes, along, across, height)
@@ -211,7 +211,7 @@ def _pointing(front, across, wheelbase, steering):
     """Return a wheel's direction, ahead and to the left: all roll about one point (Ackermann)."""
     if front < 0.0:
         return 1.0, 0.0
-    sin, cos = np.float64(steering[0]), np.float64(steering[1])
+    cos, sin = steering
     u, v = wheelbase * cos - across * sin, wheelbase * sin
     size = math.sqrt(u * u + v * v)
     return u / size, v / size
@@ -233,11 +233,9 @@ def _size(x, y, z):
 @inner
 def _turn(car, body):
     """Write the quaternion of yaw, then pitch, then roll."""
-    sin_r, cos_r = sincos(car.roll * _HALF)
-    sin_p, cos_p = sincos(car.pitch * _HALF)
-    sin_y, cos_y = sincos(car.yaw * _HALF)
-    sr, cr, sp = np.float64(sin_r), np.float64(cos_r), np.float64(sin_p)
-    cp, sy, cy = np.float64(cos_p), np.float64(sin_y), np.float64(cos_y)
+    cr, sr = direction(car.roll * _HALF)
+    cp, sp = direction(car.pitch * _HALF)
+    cy, sy = direction(car.yaw * _HALF)
     x, y = sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy
     z, w = cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy
     size = math.sqrt(x * x + y * y + z * z + w * w)
