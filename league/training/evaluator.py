@@ -39,6 +39,7 @@ class EvalResult(NamedTuple):
     """The evaluation of one policy."""
 
     number: int  # updates before it
+    policy: Checkpoint  # what was evaluated
     evaluation: Evaluation  # all trials, on all tracks
 
 
@@ -102,32 +103,35 @@ class Evaluator:
         """Prepare; the process starts with the first policy. Without `background` there is none."""
         self._cfg, self._background = cfg, background
         self._results: list[EvalResult] = []
-        self._jobs: list[Future[EvalResult]] = []
+        self._jobs: list[tuple[int, Checkpoint, Future[Evaluation]]] = []
         self._pool: ProcessPoolExecutor | None = None
         if background:
             subprocesses.prepare(MODULES)
 
     @property
-    def pending(self) -> int:
-        """Policies submitted and not yet evaluated."""
-        return len(self._jobs)
+    def pending(self) -> list[int]:
+        """Numbers of the policies that were submitted, until their results are taken."""
+        return [result.number for result in self._results] + [number for number, *_ in self._jobs]
 
     def submit(self, number: int, checkpoint: Checkpoint) -> None:
         """Evaluate a policy as it was after an update; ConfigError if no process can be started."""
         if not self._background:
-            self._results.append(_evaluated(self._cfg, number, checkpoint))
+            evaluation = evaluate_policy(self._cfg, checkpoint)
+            self._results.append(EvalResult(number, checkpoint, evaluation))
             return
         with subprocesses.failing_in_one_sentence():
             if self._pool is None:
                 self._pool = ProcessPoolExecutor(1, subprocesses.CONTEXT, _begin)
-            self._jobs.append(self._pool.submit(_evaluated, self._cfg, number, checkpoint))
+            job = self._pool.submit(evaluate_policy, self._cfg, checkpoint)
+            self._jobs.append((number, checkpoint, job))
 
     def take(self, *, wait: bool = False) -> list[EvalResult]:
         """Return and forget the results, with `wait` one at least; PolicyError if it has died."""
         results, self._results = self._results, []
-        while self._jobs and (self._jobs[0].done() or (wait and not results)):
+        while self._jobs and (self._jobs[0][2].done() or (wait and not results)):
+            number, checkpoint, job = self._jobs.pop(0)
             try:
-                results.append(self._jobs.pop(0).result(TIMEOUT_S))
+                results.append(EvalResult(number, checkpoint, job.result(TIMEOUT_S)))
             except (BrokenProcessPool, TimeoutError):
                 self._jobs.clear()
                 raise PolicyError(
@@ -153,7 +157,3 @@ class Evaluator:
 def _begin() -> None:
     subprocesses.settle()
     os.nice(10)  # where cores are few, learning goes first
-
-
-def _evaluated(cfg: EvalConfig, number: int, checkpoint: Checkpoint) -> EvalResult:
-    return EvalResult(number, evaluate_policy(cfg, checkpoint))

@@ -22,7 +22,7 @@ from league.racing.trace import TrainingTrace
 from league.sim.config import ObstacleConfig, SimConfig
 from league.training import config, evaluator, run_folder
 from league.training.config import RunConfig
-from league.training.evaluator import EvalConfig, Evaluator
+from league.training.evaluator import EvalConfig, EvalResult, Evaluator
 from league.training.monitor.history import TrainingCallback, TrainingHistory
 from league.training.ppo import distributed, make_env
 from league.training.ppo.learner import Update, check_device, make_learner, memory_explained
@@ -108,12 +108,12 @@ class Run:
                 self.learner = make(tracks, train, opponents=opponents, reward=reward)
         if self._parent is not None:
             self.learner.load_weights(self._parent.weights)
-        self._submitted: dict[int, Checkpoint] = {}
         self._best: tuple[float, ...] | None = None
         self._best_evaluation: Evaluation | None = None
         self.history = TrainingHistory()
         self._duels: Threshold | None = None
         self._lock: int | None = None
+        self._callbacks: Sequence[TrainingCallback] = ()
 
     def resume(self) -> None:
         """Go on from the folder's state; PolicyError if there is none, or it is of another run."""
@@ -164,21 +164,25 @@ class Run:
 
     def learn(self, callbacks: Sequence[TrainingCallback] = ()) -> Outcome:
         """Learn until the budget is spent or all is complete; Ctrl-C saves and raises."""
+        self._callbacks = callbacks
         try:
             if self.learner.updates == 0 and distributed.is_first():
                 self._prepare()
             started = time.perf_counter() - self.spent_s
-            with distributed.interrupted_together() as interruption_point:
+            with memory_explained(), distributed.interrupted_together() as interruption_point:
                 while not distributed.agreed(bool(self.over)):
-                    update = self._updated()
+                    update = self.learner.update(self._progress())
+                    if self._parent is not None and self._is_parent:
+                        # An untrained critic would spoil what the parent has learnt.
+                        self.learner.load_weights(self._parent.weights)
                     self.spent_s = time.perf_counter() - started
                     if distributed.is_first():
-                        self._after(update, callbacks)
+                        self._after(update)
                     interruption_point()
             why = self.over
             distributed.close()  # the first rank does the rest alone
             if distributed.is_first():
-                self._finish(callbacks)
+                self._finish()
         except (LeagueError, KeyboardInterrupt):  # such as a failure of the user's reward function
             self._save()
             raise
@@ -189,27 +193,30 @@ class Run:
         best, samples = self.folder / "best.pt", self.learner.samples
         return Outcome(best, self._best_evaluation, samples, self.spent_s, why, self._duels)
 
-    def _after(self, update: Update, callbacks: Sequence[TrainingCallback]) -> None:
+    def _after(self, update: Update) -> None:
         """Report an update; at a save point evaluate and save, too."""
         self.history.add_update(update, self.learner.episodes, self.spent_s)
-        for callback in callbacks:
+        for callback in self._callbacks:
             callback.update(self.history, update)
-        if self.learner.at_save_point:
-            self._save_point(update, callbacks)
-        elif self._all_complete():
-            self._take(callbacks, wait=False)
+        at_save_point = self.learner.at_save_point
+        if at_save_point or self._all_complete():
+            self._take(wait=False)
+        if not at_save_point:
+            return
+        due = (self.learner.updates // self.cfg.train.save_every) % self.cfg.eval_every == 0
+        # Neither an unchanged parent nor the teacher is what was learnt.
+        due = due and self.learner.has_learnt and not self._is_parent
+        # While the evaluator is busy, policies are not evaluated.
+        if due and not self._evaluator.pending:
+            self._evaluator.submit(self.learner.updates, self._checkpoint())
+            self._take(wait=False)
+        # Last, so that the state includes the merit of best.pt.
+        self._save()
 
-    @memory_explained()
-    def _updated(self) -> Update:
-        update = self.learner.update(self._progress())
-        if self._parent is not None and self._is_parent(update.number):
-            # An untrained critic would spoil what the parent has learnt.
-            self.learner.load_weights(self._parent.weights)
-        return update
-
-    def _is_parent(self, number: int) -> bool:
-        """Whether the actor still equals its parent after this update, while the critic learns."""
-        return self._parent is not None and number <= CRITIC_FIRST
+    @property
+    def _is_parent(self) -> bool:
+        """Whether the actor still equals its parent, while the critic learns."""
+        return self._parent is not None and self.learner.updates <= CRITIC_FIRST
 
     def _prepare(self) -> None:
         """Write the settings, and start the history."""
@@ -243,18 +250,6 @@ class Run:
         by_steps = self.learner.samples / cfg.steps if cfg.steps else 0.0
         return max(by_time, by_steps)
 
-    def _save_point(self, update: Update, callbacks: Sequence[TrainingCallback]) -> None:
-        self._take(callbacks, wait=False)
-        due = (update.number // self.cfg.train.save_every) % self.cfg.eval_every == 0
-        # Neither an unchanged parent nor the teacher is what was learnt.
-        due = due and self.learner.has_learnt and not self._is_parent(update.number)
-        # While the evaluator is busy, policies are not evaluated.
-        if due and not self._evaluator.pending:
-            self._submit(update.number)
-            self._take(callbacks, wait=False)
-        # Last, so that the state includes the merit of best.pt.
-        self._save()
-
     def _all_complete(self) -> bool:
         """Whether a result has arrived that ends the run; others wait for a save point.
 
@@ -267,20 +262,15 @@ class Run:
                 return True
         return False
 
-    def _submit(self, number: int) -> None:
-        self._submitted[number] = self._checkpoint()
-        self._evaluator.submit(number, self._submitted[number])
-
-    def _take(self, callbacks: Sequence[TrainingCallback], *, wait: bool) -> None:
+    def _take(self, *, wait: bool) -> None:
         started = time.perf_counter()
-        for number, evaluation in self._evaluator.take(wait=wait):
-            waited_s = time.perf_counter() - started if wait else 0.0
-            self._add(number, evaluation, waited_s)
-            for callback in callbacks:
-                callback.evaluated(self.history, evaluation)
+        for result in self._evaluator.take(wait=wait):
+            self._add(result, time.perf_counter() - started if wait else 0.0)
+            for callback in self._callbacks:
+                callback.evaluated(self.history, result.evaluation)
 
-    def _add(self, number: int, evaluation: Evaluation, waited_s: float) -> None:
-        policy = self._submitted.pop(number)
+    def _add(self, result: EvalResult, waited_s: float) -> None:
+        number, policy, evaluation = result
         self._complete = self._complete + 1 if evaluation.all_complete else 0
         merit = evaluator.merit_of(evaluation)
         if self.cfg.self_play:
@@ -294,37 +284,34 @@ class Run:
         self.history.add_evaluation(evaluation, number, **spent, best=best)
 
     @memory_explained()
-    def _finish(self, callbacks: Sequence[TrainingCallback]) -> None:
+    def _finish(self) -> None:
         """Evaluate the last policy too, wait for all results, and write them."""
         self._save()
         complete = self.cfg.stop_when_complete and self._complete >= self.cfg.stop_when_complete
-        last = self.learner.updates
         evaluated = {row.number for row in self.history.evaluations}
-        if not complete and last not in {*self._submitted, *evaluated}:
-            self._submit(last)
-        while self._submitted and not complete:
-            self._take(callbacks, wait=True)
+        if not complete and self.learner.updates not in {*self._evaluator.pending, *evaluated}:
+            self._evaluator.submit(self.learner.updates, self._checkpoint())
+        while self._evaluator.pending and not complete:
+            self._take(wait=True)
         best = self.folder / "best.pt"
         if self._best_evaluation is None and best.exists():
             # It was evaluated before a resume, which keeps no table.
             policy = checkpoint.load(best)
             self._best_evaluation = evaluator.evaluate_policy(self._eval_cfg, policy)
         if self._best_evaluation is not None and self._best_evaluation.complete_laps:
-            self._complete_card(checkpoint.load(best), callbacks, clean=not complete)
+            self._complete_card(checkpoint.load(best), clean=not complete)
         self._save()
 
-    def _complete_card(
-        self, best: Checkpoint, callbacks: Sequence[TrainingCallback], *, clean: bool
-    ) -> None:
+    def _complete_card(self, best: Checkpoint, *, clean: bool) -> None:
         """Write into the best policy's card how clean it drives and how fast rivals it holds."""
         results: dict[str, float | None] = {}
         if clean:  # who stops at the first laps is in a hurry
-            for callback in callbacks:
+            for callback in self._callbacks:
                 callback.racing(f"driving {evaluator.CLEAN_RUNS} runs for the policy's card")
             results["clean_share"] = evaluator.clean_share(self._eval_cfg, best)
             self._save_best(best, results)
         if self.cfg.train.kind == "head_to_head":
-            for callback in callbacks:
+            for callback in self._callbacks:
                 callback.racing("racing it against itself, slowed, for the policy's card")
             car, cfg = SimConfig().car, DuelConfig(self._eval_cfg.tracks[0], races=_DUELS)
             try:

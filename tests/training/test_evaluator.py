@@ -42,7 +42,7 @@ def test_policies_are_judged_in_the_order_they_were_handed_over():
     try:
         for number in (1, 2, 3):
             one.submit(number, untrained())
-        assert one.pending == 3
+        assert one.pending == [1, 2, 3]
         found = []
         while one.pending:
             found += one.take(wait=True)

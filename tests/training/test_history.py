@@ -48,12 +48,15 @@ def test_an_evaluation_belongs_to_the_last_update():
 
 def test_an_evaluation_that_comes_later_belongs_to_the_update_it_judged():
     made = filled()
-    row = made.add_evaluation(evaluation(7.0), 3, time_s=9.0, took_s=0.0, best=True)
+    made.add_evaluation(evaluation(7.0), 3, time_s=9.0, took_s=0.0, best=True)
+    row = made.evaluations[-1]
     assert (row.number, row.samples) == (3, 300)
 
 
 def test_an_evaluation_without_a_lap_has_no_lap_times():
-    row = filled().add_evaluation(evaluation(None), 4, time_s=9.0, took_s=0.5, best=False)
+    made = filled()
+    made.add_evaluation(evaluation(None), 4, time_s=9.0, took_s=0.5, best=False)
+    row = made.evaluations[-1]
     assert (row.best_lap_s, row.last_lap_s, row.mean_lap_s) == (None, None, None)
 
 

@@ -132,7 +132,7 @@ class TrainingHistory:
         times = {row.number: row.time_s for row in self.updates}
         return [times.get(row.number, row.time_s) for row in rows]
 
-    def add_update(self, update: Update, episodes: EpisodeStatistics, time_s: float) -> UpdateRow:
+    def add_update(self, update: Update, episodes: EpisodeStatistics, time_s: float) -> None:
         """Add an update; `time_s` is the wall time of the run, before a resume too [s]."""
         completion = episodes.completion
         row = UpdateRow(
@@ -145,11 +145,10 @@ class TrainingHistory:
         )
         self.updates.append(row)
         self._write(row)
-        return row
 
     def add_evaluation(
         self, evaluation: Evaluation, number: int, *, time_s: float, took_s: float, best: bool
-    ) -> EvaluationRow:
+    ) -> None:
         """Add an evaluation of the policy as it was after update `number`, `best` so far or not.
 
         `time_s` is the wall time of the run so far, `took_s` how long learning waited for it [s].
@@ -167,7 +166,6 @@ class TrainingHistory:
         )
         self.evaluations.append(row)
         self._write(row)
-        return row
 
     def close(self) -> None:
         """Close the file, with all that was added on the disk."""
