@@ -131,21 +131,16 @@ class LineDriver:
 
     def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return actions from the `state` group."""
-        return self.drive(observations["state"], 1.0)
-
-    def drive(self, state: np.ndarray, pace: np.ndarray | float) -> np.ndarray:
-        """Return actions from the `state` group, at a part of the own pace, one or for each row."""
-        rows = np.ascontiguousarray(state, np.float64).view(_STATE)[:, 0]
-        paces = np.full(len(rows), pace, np.float64)
+        rows = np.ascontiguousarray(observations["state"], np.float64).view(_STATE)[:, 0]
         if len(self._memory) != len(rows):
             self._memory = np.zeros(len(rows), _MEMORY)
         controls = np.empty((2, len(rows)))
-        _drive(rows, paces, self._memory, controls, *self._settings)
+        _drive(rows, self._memory, controls, *self._settings)
         return encode(controls[0], controls[1], self._car)
 
 
 @compiled(allocates=True)
-def _drive(states, paces, memories, controls, line, points, courses, gains, cars, styles):
+def _drive(states, memories, controls, line, points, courses, gains, cars, styles):
     """Write the steering targets [rad] and speeds to ask for [m/s] of all rows, (2, num_rows)."""
     road, things = np.empty(NODES, NODE), np.empty(NEIGHBOURS + NEAR_OBSTACLES, _THING)
     car, style = cars[0], styles[0]
@@ -153,7 +148,13 @@ def _drive(states, paces, memories, controls, line, points, courses, gains, cars
         state, memory = states[row], memories[row]
         speed = max(state.speed_ahead, 0.0)
         look_ahead(line, points, courses[0], state.s, road)
-        limit = _targets(state, things, road, style)
+        for node in road:
+            node.target = node.lateral
+        if style.blocks:
+            _cover(state, road)
+        near = things[: _gather(state, things)]
+        _go_round(state.lateral, near, road, style)
+        limit = min(_largest_speed(state.lateral, near, road, style), style.top_speed)
         _leave_line(road, memory.aside)
         # Metres of the path for each metre of the line, and the angle between them.
         ax, ay, bx, by = slope(road.x), slope(road.y), slope(road.path_x), slope(road.path_y)
@@ -168,20 +169,8 @@ def _drive(states, paces, memories, controls, line, points, courses, gains, cars
         most = min(atan(f32(car.wheelbase * tightest)) + 0.12, car.max_steering)
         target = clamp(target, -most, most)
         controls[0, row] = memory.steering = 0.0 if state.frozen else target
-        controls[1, row] = _speed(speed, road, limit, paces[row], car, style)
+        controls[1, row] = _speed(speed, road, limit, car, style)
         memory.aside = at(road.aside, speed / longer * STEP_DT)
-
-
-@inner
-def _targets(state, things, road, style):
-    """Write where to drive; return the largest speed because of others [m/s]."""
-    things = things[: _gather(state, things)]
-    for node in road:
-        node.target = node.lateral
-    if style.blocks:
-        _cover(state, road)
-    _go_round(state.lateral, things, road, style)
-    return min(_largest_speed(state.lateral, things, road, style), style.top_speed)
 
 
 @inner
@@ -205,14 +194,14 @@ def _leave_line(road, held):
 
 
 @inner
-def _speed(speed, road, limit, pace, car, style):
+def _speed(speed, road, limit, car, style):
     """Return the speed to ask for [m/s]."""
     squared = np.inf
     for node in road[::-1]:
         # Off the line the path changes at every step: keep grip and speed in hand.
         share = 1.0 - style.reserve * min(abs(node.aside) / 0.1, 1.0)
         corner = style.grip * car.grip * GRAVITY * share / max(abs(node.bend), 1e-3)
-        most = (pace * style.pace) ** 2 * min(node.speed * node.speed * share, corner)
+        most = style.pace**2 * min(node.speed * node.speed * share, corner)
         squared = min(most, squared + 2.0 * _BRAKING * car.max_braking * NODE_GAP)
         node.speed = math.sqrt(squared)
     target = min(at(road.speed, speed * (STEP_DT + car.latency_s)), limit)

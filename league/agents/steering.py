@@ -157,19 +157,19 @@ def gains(car: CarConfig) -> np.ndarray:
     p = q
     while True:
         before = p
-        weighted = _product(_turned(b), p)
+        weighted = _product(b.mT, p)
         weight = price + _product(weighted, b)
         gain = _product(weighted, a) / weight
         closed = a - _product(b, gain)
-        p = q + _product(_turned(a), _product(p, closed))
-        p = (p + _turned(p)) / 2
+        p = q + _product(a.mT, _product(p, closed))
+        p = (p + p.mT) / 2
         if np.abs(p - before).max() <= _SETTLED:
             break
     out, ahead = np.empty((5 + STEPS, len(speeds))), _product(p, bend)
     out[:5] = -gain[:, 0].T
     for step in range(STEPS):
-        out[5 + step] = -(_product(_turned(b), ahead) / weight)[:, 0, 0]
-        ahead = _product(_turned(closed), ahead)
+        out[5 + step] = -(_product(b.mT, ahead) / weight)[:, 0, 0]
+        ahead = _product(closed.mT, ahead)
     return out
 
 
@@ -211,7 +211,3 @@ def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     for k in range(1, b.shape[1]):
         total += a[:, :, k, None] * b[:, k, None, :]
     return total
-
-
-def _turned(matrices: np.ndarray) -> np.ndarray:
-    return matrices.transpose(0, 2, 1)
