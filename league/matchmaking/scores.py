@@ -15,7 +15,7 @@ from league.matchmaking.ratings.pair_counts import ELO, changes
 from league.matchmaking.ratings.table import SIGMAS_95, Strengths, expected_score
 from league.matchmaking.scope import frozen_columns, scope
 from league.matchmaking.standings import OwnRaces, Standings
-from league.matchmaking.store import BEST_MS, CLEAN, LeagueEntry, Races, Season, Store
+from league.matchmaking.store import BEST_MS, CLEAN, LeagueEntry, Races, Store
 from league.sim.config import RaceKind
 
 TREND_HEATS = 50
@@ -33,15 +33,15 @@ class RaceScore:
     expected: float  # points that the ratings promise it, grid slots included
 
 
-def race_scores(
-    rated: Standings | PastSeason, number: int, other: int | None = None
-) -> list[RaceScore]:
-    """Return an entry's rated races, by heat and race; if given, only one other entry counts."""
-    own = standings.own_races(rated.races, rated.ratings, number)
+def race_scores(own: OwnRaces, tracks: Sequence[str], other: int | None = None) -> list[RaceScore]:
+    """Return an entry's rated races, by heat and race; if given, only one other entry counts.
+
+    `tracks` are those of the rules that the races are under.
+    """
     races, counts = own.races, own.met
     if other is not None:
         counts = counts & (races.entries == other)
-    names = dict(enumerate(rated.tracks))
+    names = dict(enumerate(tracks))
     rows = np.flatnonzero(counts.any(axis=1) | (other is None))
     columns = (
         races.heat[rows].tolist(),
@@ -65,45 +65,10 @@ def heat_scores(own: OwnRaces) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return own.races.heat[starts], points, expected
 
 
-@dataclass(frozen=True)
-class PastSeason:
-    """Some races of a season, and what its ratings promise of them."""
-
-    races: Races
-    ratings: Strengths
-    tracks: Sequence[str]
-
-
 def final_ratings(document: Mapping[str, Any]) -> Strengths:
     """Return the ratings that a season was frozen with, from its document."""
     entries, elo = frozen_columns(document, "number", "elo")
     return Strengths(entries, elo, np.array(document["standings"]["slot_advantages"]))
-
-
-def scores_by_season(
-    raced: Sequence[tuple[Races, Sequence[str]]],
-    seasons: Sequence[Season],
-    ratings: Callable[[Season | None], Strengths],
-    one: int,
-    other: int,
-) -> dict[int | None, list[RaceScore]]:
-    """Return the races of two entries, points of the one, by number of the season, the first first.
-
-    None is for races in no season. `raced` are races under each of some rules, with the tracks of
-    these; `ratings` returns those that tell what was expected in a season, or in none.
-    """
-    found: dict[int | None, list[RaceScore]] = {}
-    for races, tracks in raced:
-        races = races.of_entry(one)
-        races = races.where((races.entries == other).any(axis=1))
-        within = np.zeros(len(races.heat), int)
-        for season in seasons:
-            within[season.has(races.heat)] = season.number
-        by_number = {season.number: season for season in seasons}
-        for number in np.unique(within).tolist():
-            past = PastSeason(races.where(within == number), ratings(by_number.get(number)), tracks)
-            found.setdefault(number or None, []).extend(race_scores(past, one, other))
-    return dict(sorted(found.items(), key=lambda item: item[0] or 0))
 
 
 @dataclass(frozen=True)

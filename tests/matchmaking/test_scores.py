@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from league.matchmaking.scores import clean_laps, race_scores
+from league.matchmaking.scores import RaceScore, clean_laps, race_scores
+from league.matchmaking.standings import own_races
 from league.matchmaking.store import CLEAN, KNOWN, Races
 
 
@@ -30,8 +31,12 @@ def field(entries, places, *, slots=(0.0, 0.0, 0.0)):
     return SimpleNamespace(races=races, ratings=ratings, tracks=("oval", "peanut"))
 
 
+def scores(rated, number, other=None) -> list[RaceScore]:
+    return race_scores(own_races(rated.races, rated.ratings, number), rated.tracks, other)
+
+
 def test_a_gap_of_400_elo_promises_ten_points_of_eleven():
-    (score,) = race_scores(field([[3, 5]], [[2, 1]]), 3)
+    (score,) = scores(field([[3, 5]], [[2, 1]]), 3)
     assert score.points == 0
     assert score.expected == pytest.approx(10 / 11)
     assert (score.heat, score.race, score.track) == (1, 1, "oval")
@@ -39,29 +44,29 @@ def test_a_gap_of_400_elo_promises_ten_points_of_eleven():
 
 def test_the_grid_slot_counts_in_what_is_promised():
     rated = field([[5, 3]], [[1, 1]], slots=(200.0, -200.0, 0.0))
-    (score,) = race_scores(rated, 3)
+    (score,) = scores(rated, 3)
     assert score.points == 0.5
     assert score.expected == pytest.approx(0.5)
 
 
 def test_each_opponent_counts_and_empty_slots_do_not():
     rated = field([[3, 5, 8], [8, 3, -1]], [[1, 2, 3], [2, 1, 0]])
-    scores = race_scores(rated, 3)
+    found = scores(rated, 3)
     # By heat and race: the second row is race 1 of heat 1.
-    assert [(one.race, one.points) for one in scores] == [(1, 1.0), (2, 2.0)]
-    assert scores[1].expected == pytest.approx(10 / 11 + 100 / 101)
+    assert [(one.race, one.points) for one in found] == [(1, 1.0), (2, 2.0)]
+    assert found[1].expected == pytest.approx(10 / 11 + 100 / 101)
 
 
 def test_one_opponent_alone():
     rated = field([[3, 5, 8], [8, 3, -1]], [[1, 2, 3], [2, 1, 0]])
-    (score,) = race_scores(rated, 3, 5)
+    (score,) = scores(rated, 3, 5)
     assert score.points == 1
     assert score.expected == pytest.approx(10 / 11)
 
 
 def test_points_of_both_add_up_to_the_races():
     rated = field([[3, 5], [5, 3], [3, 8]], [[1, 2], [1, 2], [2, 1]])
-    mine, theirs = race_scores(rated, 3, 5), race_scores(rated, 5, 3)
+    mine, theirs = scores(rated, 3, 5), scores(rated, 5, 3)
     assert [a.points + b.points for a, b in zip(mine, theirs, strict=True)] == [1, 1]
     assert sum(a.expected + b.expected for a, b in zip(mine, theirs, strict=True)) == 2
 

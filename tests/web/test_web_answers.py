@@ -65,7 +65,7 @@ def test_scores_of_heats_are_the_sums_of_their_races(league):
     rated = standings.of(league)
     for row in rated.rows:
         by_heat: dict[int, list[float]] = {}
-        for one in race_scores(rated, row.number):
+        for one in race_scores(rated.own_races(row.number), rated.tracks):
             points, expected = by_heat.get(one.heat, [0.0, 0.0])
             by_heat[one.heat] = [points + one.points, expected + one.expected]
         heats, points, expected = heat_scores(rated.own_races(row.number))

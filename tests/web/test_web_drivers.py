@@ -56,8 +56,8 @@ def test_neighbours_are_those_in_the_standings(client, store, monkeypatch):
 def test_surprises_are_the_heats_farthest_from_what_was_expected(client, store):
     number = 3
     document = client.get(f"/api/v1/drivers/{number}").json()
-    surplus = {}
-    for score in race_scores(standings.of(store), number):
+    surplus, rated = {}, standings.of(store)
+    for score in race_scores(rated.own_races(number), rated.tracks):
         surplus[score.heat] = surplus.get(score.heat, 0) + score.points - score.expected
     best, worst = document["best"], document["worst"]
     assert [heat["points"] - heat["expected"] for heat in best] == pytest.approx(

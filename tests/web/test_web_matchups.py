@@ -43,7 +43,8 @@ def test_the_matchup_page_has_the_record_of_the_command_line(client, store):
 def test_the_matchup_page_lists_each_race_with_its_result(client, store):
     document = client.get("/api/v1/matchups/2/3").json()
     rated = [line for line in document["heats"] if line["purpose"] == "rated"]
-    scores = race_scores(standings.of(store), 2, 3)
+    now = standings.of(store)
+    scores = race_scores(now.own_races(2), now.tracks, 3)
     assert len(rated) == len(scores) > 0
     for score in scores:
         line = next(one for one in rated if (one["heat"], one["race"]) == (score.heat, score.race))

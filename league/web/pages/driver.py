@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,6 @@ import numpy as np
 from league.errors import StoreError
 from league.matchmaking import standings
 from league.matchmaking.pairing import matchmaker
-from league.matchmaking.ratings.table import Strengths
 from league.matchmaking.scores import (
     HistoryPoint,
     RaceScore,
@@ -22,14 +22,12 @@ from league.matchmaking.scores import (
     history,
     own_history,
     race_scores,
-    scores_by_season,
 )
 from league.matchmaking.standings import HeadToHead, OwnRaces, Row, Standings
 from league.matchmaking.store import (
     HeatRecord,
     HeatState,
     LeagueEntry,
-    Races,
     Season,
     StoredResult,
 )
@@ -292,7 +290,7 @@ def matchup(reader: Reader, one: int, other: int, before: str = "", season: str 
     met = reader.store.heats(entries=[one, other])
     scores, record = [], standings.UNMET if both else None
     if both and met:
-        scores = race_scores(both, one, other)
+        scores = race_scores(both.own_races(one), both.tracks, other)
         record = standings.head_to_head(both, one, other)
     by_season = _by_season(reader, both, one, other, met) if both else {}
     records = [record for record in met if record.state in OVER]
@@ -331,25 +329,34 @@ def matchup(reader: Reader, one: int, other: int, before: str = "", season: str 
 def _by_season(
     reader: Reader, both: Standings, one: int, other: int, met: Sequence[HeatRecord]
 ) -> dict[int | None, list[RaceScore]]:
-    """Return the races of two entries by season, see `scores_by_season`.
+    """Return the races of two entries, points of the one, by number of the season, the first first.
 
-    `met` are their heats: under other rules than the present ones most have none.
+    None is for races in no season; a season that is over promised what its final ratings say. `met`
+    are their heats: under other rules than the present ones most have none.
     """
     now, hashes = reader.snapshot(), {record.heat.ruleset for record in met}
-
-    def raced(hash: str) -> Races:
-        if hash == now.settings.ruleset.hash:
-            return now.races
-        return reader.store.races(hash, entries=(one, other))
-
-    def ratings(season: Season | None) -> Strengths:
-        document = frozen(reader, season) if season else None
-        if season is None or document is None:
-            return both.ratings
-        return reader.kept(("ratings", season.number), lambda: final_ratings(document))
-
-    under = [(raced(hash), rules.tracks) for hash, rules in now.rulesets.items() if hash in hashes]
-    return scores_by_season(under, now.seasons, ratings, one, other)
+    found: dict[int | None, list[RaceScore]] = {}
+    for hash, rules in now.rulesets.items():
+        if hash not in hashes:
+            continue
+        races = now.races
+        if hash != now.settings.ruleset.hash:
+            races = reader.store.races(hash, entries=(one, other))
+        races = races.of_entry(one)
+        races = races.where((races.entries == other).any(axis=1))
+        within = np.zeros(len(races.heat), int)
+        for season in now.seasons:
+            within[season.has(races.heat)] = season.number
+        for number in np.unique(within).tolist():
+            season = next((known for known in now.seasons if known.number == number), None)
+            document, ratings = frozen(reader, season) if season else None, both.ratings
+            if document is not None:
+                final = partial(final_ratings, document)
+                ratings = reader.kept(("ratings", number), final)
+            own = standings.own_races(races.where(within == number), ratings, one)
+            scores = race_scores(own, rules.tracks, other)
+            found.setdefault(number or None, []).extend(scores)
+    return dict(sorted(found.items(), key=lambda item: item[0] or 0))
 
 
 def _record(scores: Sequence[RaceScore]) -> Document:
