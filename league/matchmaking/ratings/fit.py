@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.sparse.linalg import aslinearoperator, cg
 from scipy.special import wrightomega
 
-from league.matchmaking.ratings import pair_counts, systems
+from league.matchmaking.ratings import pair_counts
 from league.matchmaking.ratings.pair_counts import (
     ELO,
     EMPTY,
@@ -20,7 +20,7 @@ from league.matchmaking.ratings.pair_counts import (
     Results,
     Squares,
 )
-from league.matchmaking.ratings.systems import Blocks, Sparse, Variances
+from league.matchmaking.ratings.systems import Blocks, Dense, Sparse, Variances
 from league.matchmaking.ratings.table import SIGMAS_95, Carried, Posterior, Ratings
 
 ANCHOR_ELO = 1000.0  # where the anchor is pinned
@@ -47,8 +47,9 @@ class RatingSettings:
     prior_sd: float | None = None
     """Spread of the field before any race [Elo]; None learns it from the field."""
     slot_sd: float = 300.0  # how far two grid slots may differ in worth, before any race [Elo]
-    dense_most: int = systems.DENSE_MOST
-    """Entries that met others up to which variances are exact; of more they are right to 1 %."""
+    dense_most: int = 1500
+    """Entries that met others up to which variances are exact; of more they are right to 1 %, for
+    the cube of these would be too slow."""
 
 
 def fit(
@@ -131,15 +132,14 @@ class _Model:
     def at(self, prior_sd: float, enough: float = ENOUGH) -> Posterior:
         """Climb to the best parameters under a prior, until a step is small enough."""
         prior, at = self.prior(prior_sd), self._last
+        form = Dense if len(self._counts.met) <= self._settings.dense_most else Sparse
         self.num_spreads += 1
         seen = pair_counts.slope(self._counts, at)
         value = seen.value - 0.5 * float(prior @ (at - self._mean) ** 2)
         far = 1.0
         for _ in range(100):
             self._pause()
-            system = systems.system(
-                self._counts, seen.weights, prior, dense_most=self._settings.dense_most
-            )
+            system = form(Blocks(self._counts, seen.weights, prior))
             gradient = seen.gradient - prior * (at - self._mean)
             # A step that others follow need not be exact: the next one's error is its square.
             step = system.solve(gradient, within=min(1e-2, max(1e-6, 1e-2 * far)))

@@ -18,8 +18,6 @@ from scipy.sparse.linalg import aslinearoperator, cg
 
 from league.matchmaking.ratings.pair_counts import PairCounts, Squares
 
-DENSE_MOST = 1500
-"""Entries that met others up to which H is factored; beyond, the cube of these is too slow."""
 PROBES = 8  # random sign vectors in a batch
 BATCHES = 12  # batches of probes at most
 NOISE = 0.03
@@ -47,17 +45,6 @@ class Blocks:
         slots = np.diag(prior[size:] + sides.sum(axis=1) + sides.sum(axis=0))
         self.corner = slots - sides - sides.T
         self.counts, self.prior = counts, prior
-
-
-def system(
-    counts: PairCounts, weights: np.ndarray, prior: np.ndarray, *, dense_most: int = DENSE_MOST
-) -> System:
-    """Return H in the form that suits the field: factored if up to `dense_most` entries met others.
-
-    `weights` is the curvature of each cell, `prior` the precision of each parameter.
-    """
-    suited = Dense if len(counts.met) <= dense_most else Sparse
-    return suited(Blocks(counts, weights, prior))
 
 
 class Dense:
@@ -120,12 +107,9 @@ class Dense:
         robust[met] = np.einsum("ij,ij->i", across[: len(met)], inverse[: len(met)])
         return model, robust
 
-    def gap(self, squares: Squares, one: int, other: int) -> tuple[float, float]:
-        """Return the model's and the robust variance of a difference of two strengths, by index."""
-        right = np.zeros((squares.size, 1))
-        right[one] += 1.0
-        right[other] -= 1.0
-        model, robust = _quadratic(self, squares, right)
+    def gap(self, squares: Squares, right: np.ndarray) -> tuple[float, float]:
+        """Return the variances of `right` (entries + slots,), the model's and the robust."""
+        model, robust = _quadratic(self, squares, right[:, None])
         return float(model[0]), float(robust[0])
 
 
@@ -250,18 +234,15 @@ class Sparse:
         near = first * self._met(first * probes)  # has nothing on its diagonal
         return solved[: len(probes)] - known - near
 
-    def gap(self, squares: Squares, one: int, other: int) -> tuple[float, float]:
-        """Return the model's and the robust variance of a difference of two strengths, by index.
+    def gap(self, squares: Squares, right: np.ndarray) -> tuple[float, float]:
+        """Return the variances of `right` (entries + slots,), the model's and the robust.
 
         The first one takes as long as a hundred more. The right side is 0 but for two entries, and
         so are the first steps of conjugate gradients but for their opponents, and nearly so for
         those of these, which are left out (`SMALL`): only later steps read all pairs that met.
         Slots are eliminated, H's Schur complement over the strengths is solved.
         """
-        right = np.zeros(len(squares.prior))
-        right[one] += 1.0
-        right[other] -= 1.0
-        entries, variance = self._solved_gap(right)
+        entries, variance = self._solved_gap(right[: len(squares.prior)])
         slots = -self._slots_of(entries)
         robust = entries @ (_times(squares.scattered, entries) + squares.prior * entries)
         robust += slots @ (2 * squares.border.T @ entries + squares.corner @ slots)
@@ -344,7 +325,10 @@ class Variances:
 
     def gap(self, one: int, other: int) -> float:
         """Return the variance of the difference of two strengths, given by index."""
-        model, robust = (np.array(some) for some in self._system.gap(self._squares, one, other))
+        right = np.zeros(self._squares.size)
+        right[one] += 1.0
+        right[other] -= 1.0
+        model, robust = (np.array(some) for some in self._system.gap(self._squares, right))
         heats = np.minimum(self._squares.heats[one], self._squares.heats[other])
         return float(_blend(model, robust, heats, self._ratio))
 
