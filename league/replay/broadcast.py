@@ -78,7 +78,8 @@ class Commentator:
     ) -> None:
         """Begin before the start; `names` are the drivers', by grid slot.
 
-        On a track that is not closed a race is one lap. `pursuit_m` is what `pursuit_m` returns.
+        On a track that is not closed a race is one lap. `pursuit_m` is what `lap_of_pursuit`
+        returns.
         """
         self._spec, self._names, self._pursuit_m = spec, names, pursuit_m
         self._laps = spec.laps if closed else 1
@@ -237,7 +238,7 @@ class Commentator:
         return f" at {closing:.1f} m/s" if closing >= 0.05 else ""
 
 
-def pursuit_m(spec: RaceSpec, track: Track) -> float:
+def lap_of_pursuit(spec: RaceSpec, track: Track) -> float:
     """Return the length of a lap [m] if a race is a pursuit, else 0."""
     return track.length if spec.format == "pursuit" else 0.0
 
@@ -314,7 +315,7 @@ def of_replay(replay: Replay, *, over: bool = True) -> list[Remark]:
     for event in replay.result.events:
         events.setdefault(round(event.time_s * replay.step_hz), []).append(event)
     track = replay.track
-    lap_m = pursuit_m(replay.spec, track)
+    lap_m = lap_of_pursuit(replay.spec, track)
     commentator = Commentator(replay.spec, replay.names, closed=track.closed, pursuit_m=lap_m)
     lines: list[Remark] = []
     for frame, (time_s, cars) in enumerate(moments(replay)):
@@ -351,7 +352,7 @@ class Director:
     """Chooses what to show step by step; the same for a film and a live view."""
 
     def __init__(self, pursuit_m: float = 0.0) -> None:
-        """Begin before the start; `pursuit_m` is what `pursuit_m` returns."""
+        """Begin before the start; `pursuit_m` is what `lap_of_pursuit` returns."""
         self._pursuit_m = pursuit_m
         self.shot: Shot | None = None  # what is shown; None before the first step
         self._open_s = 0.0  # when the fight of this shot was last undecided
@@ -437,7 +438,7 @@ def chase_path(replay: Replay) -> ChasePath:
     """
     from scipy.ndimage import gaussian_filter1d  # late: SciPy takes a while
 
-    lap_m = pursuit_m(replay.spec, replay.track)
+    lap_m = lap_of_pursuit(replay.spec, replay.track)
     columns, director = replay.columns, Director(lap_m)
     subject, rival = (np.empty(replay.num_frames, np.int64) for _ in range(2))
     gap = np.empty(replay.num_frames)  # between these two [m]

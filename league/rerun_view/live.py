@@ -11,7 +11,7 @@ import rerun as rr
 
 from league import times
 from league.race_spec import Event, RaceResult, RaceSpec
-from league.replay.broadcast import PACK, Commentator, Director, pursuit_m
+from league.replay.broadcast import PACK, Commentator, Director, lap_of_pursuit
 from league.rerun_view import layout, record
 from league.rerun_view.scene import SceneWriter, positions, rotation, speeds
 from league.rerun_view.viewer import Stream
@@ -41,7 +41,7 @@ class Live:
         self._step_hz = SimConfig().step_hz
         self._began_s: float | None = None
         self._chase: np.ndarray | None = None
-        self._lap_m = pursuit_m(spec, track)
+        self._lap_m = lap_of_pursuit(spec, track)
         self._commentator = Commentator(
             spec, self._names, closed=track.closed, pursuit_m=self._lap_m
         )
