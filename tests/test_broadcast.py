@@ -165,16 +165,18 @@ def shots(distances, ghosts=None):
 
 
 def test_the_camera_shows_the_closest_fight_and_not_the_leader():
-    shot = shots([[20.0, 10.0, 9.5]])[0]
+    director = Director()
+    shot = director.add(0.0, scene([20.0, 10.0, 9.5]))
     assert (shot.front, shot.rear) == (1, 2)
-    assert shot.sentence(("A", "B", "C"), scene([20.0, 10.0, 9.5])) == "C attacks B, 0.2 s"
-    assert shot.sentence(("A", "B", "C"), scene([20.0, 10.0, 9.9])) == "C and B side by side"
+    assert director.sentence(("A", "B", "C"), scene([20.0, 10.0, 9.5])) == "C attacks B, 0.2 s"
+    assert director.sentence(("A", "B", "C"), scene([20.0, 10.0, 9.9])) == "C and B side by side"
 
 
 def test_cars_that_stand_for_a_penalty_are_not_shown_as_a_fight():
-    shot = shots([[20.0, 10.0, 9.9]])[0]
+    director = Director()
+    director.add(0.0, scene([20.0, 10.0, 9.9]))
     for ghost in ([1], [2], [1, 2]):
-        assert shot.sentence(("A", "B", "C"), scene([20.0, 10.0, 9.9], ghost=ghost)) == ""
+        assert director.sentence(("A", "B", "C"), scene([20.0, 10.0, 9.9], ghost=ghost)) == ""
 
 
 def test_without_a_fight_the_camera_shows_the_leader():
@@ -187,7 +189,7 @@ def test_in_a_pursuit_cars_that_have_driven_as_far_are_no_fight():
     driven = [[10.0 + k, 10.0 + k + 0.1 * (-1) ** k, 9.5 + k] for k in range(90)]
     seen = [director.add(k * STEP_S, scene(driven[k])) for k in range(90)]
     assert {(shot.front, shot.rear) for shot in seen} == {(1, 1)}
-    assert seen[-1].sentence(("A", "B", "C"), scene(driven[-1]), 30.0) == ""
+    assert director.sentence(("A", "B", "C"), scene(driven[-1])) == ""
     # The first comes to lead by more than a fight is long.
     seen = [director.add((90 + k) * STEP_S, scene([112.0, 110.0, 109.5])) for k in range(60)]
     assert (seen[-1].front, seen[-1].rear) == (0, 0)

@@ -334,19 +334,6 @@ class Shot:
     rear: int  # the car behind, from behind which both are seen; `front` if it is alone
     since_s: float  # when the shot began [s]
 
-    def sentence(self, names: tuple[str, ...], cars: Cars, pursuit_m: float = 0.0) -> str:
-        """Return who attacks and the gap in seconds; empty if no car is near or one is a ghost."""
-        place = places_m(cars, pursuit_m)
-        gap = float(abs(place[self.front] - place[self.rear]))
-        ghost = cars["ghost"][self.front] or cars["ghost"][self.rear]
-        if self.front == self.rear or gap > APART or ghost:
-            return ""
-        front, rear = names[self.front], names[self.rear]
-        if gap < LEVEL:
-            return f"{rear} and {front} side by side"
-        does = "attacks" if gap < ATTACK else "chases"
-        return f"{rear} {does} {front}, {_seconds(gap, cars, self.rear):.1f} s"
-
 
 class Director:
     """Chooses what to show step by step; the same for a film and a live view."""
@@ -356,6 +343,25 @@ class Director:
         self._pursuit_m = pursuit_m
         self.shot: Shot | None = None  # what is shown; None before the first step
         self._open_s = 0.0  # when the fight of this shot was last undecided
+
+    def gap_m(self, cars: Cars) -> float:
+        """Return how far the two cars that are shown are apart along the road [m]."""
+        assert self.shot is not None, "add a step first"
+        place = places_m(cars, self._pursuit_m)
+        return float(abs(place[self.shot.front] - place[self.shot.rear]))
+
+    def sentence(self, names: tuple[str, ...], cars: Cars) -> str:
+        """Return who attacks and the gap in seconds; empty if no car is near or one is a ghost."""
+        shot, gap = self.shot, self.gap_m(cars)
+        assert shot is not None
+        ghost = cars["ghost"][shot.front] or cars["ghost"][shot.rear]
+        if shot.front == shot.rear or gap > APART or ghost:
+            return ""
+        front, rear = names[shot.front], names[shot.rear]
+        if gap < LEVEL:
+            return f"{rear} and {front} side by side"
+        does = "attacks" if gap < ATTACK else "chases"
+        return f"{rear} {does} {front}, {_seconds(gap, cars, shot.rear):.1f} s"
 
     def add(self, time_s: float, cars: Cars) -> Shot:
         """Return what to show at a step that follows the one before."""
@@ -438,17 +444,15 @@ def chase_path(replay: Replay) -> ChasePath:
     """
     from scipy.ndimage import gaussian_filter1d  # late: SciPy takes a while
 
-    lap_m = lap_of_pursuit(replay.spec, replay.track)
-    columns, director = replay.columns, Director(lap_m)
+    columns, director = replay.columns, Director(lap_of_pursuit(replay.spec, replay.track))
     subject, rival = (np.empty(replay.num_frames, np.int64) for _ in range(2))
     gap = np.empty(replay.num_frames)  # between these two [m]
     take, fights = np.zeros(replay.num_frames, np.int64), []
     for frame, (time_s, cars) in enumerate(moments(replay)):
         before, shot = director.shot, director.add(time_s, cars)
         subject[frame], rival[frame] = shot.rear, shot.front
-        fights.append(shot.sentence(replay.names, cars, lap_m))
-        place = places_m(cars, lap_m)
-        gap[frame] = abs(place[shot.front] - place[shot.rear])
+        fights.append(director.sentence(replay.names, cars))
+        gap[frame] = director.gap_m(cars)
         cut = before is not None and before.since_s != shot.since_s > 0.0
         # A short way is gone rather than cut: a jump by a car's length looks like a fault.
         old = subject[max(frame - 1, 0)]

@@ -41,11 +41,9 @@ class Live:
         self._step_hz = SimConfig().step_hz
         self._began_s: float | None = None
         self._chase: np.ndarray | None = None
-        self._lap_m = lap_of_pursuit(spec, track)
-        self._commentator = Commentator(
-            spec, self._names, closed=track.closed, pursuit_m=self._lap_m
-        )
-        self._director = Director(self._lap_m)
+        lap_m = lap_of_pursuit(spec, track)
+        self._commentator = Commentator(spec, self._names, closed=track.closed, pursuit_m=lap_m)
+        self._director = Director(lap_m)
         self._events = list[Event]()
         self._writer = SceneWriter(stream.recording, track, self._names, self._step_hz)
         kind, laps = spec.kind.replace("_", " "), times.laps(spec.laps)
@@ -80,7 +78,7 @@ class Live:
         self._events.clear()
         order = [self._names[slot] for slot in np.argsort(gaps[0], kind="stable")]
         shot = self._director.add(float(times[0]), cars[0])
-        fight = shot.sentence(self._names, cars[0], self._lap_m)
+        fight = self._director.sentence(self._names, cars[0])
         text = record.running_order(self._title, order, fight)
         if text != self._shown:
             self._shown = text
