@@ -59,7 +59,8 @@ def _compiled(parts: Iterable[str]) -> Iterator[str]:
         tempfile.TemporaryFile("w+") as errors,
         subprocess.Popen(
             [sys.executable, "-P", "-m", "league.precompile", *parts],
-            env={**os.environ, "PYTHONPATH": str(_PACKAGE.parent)},
+            # What this process can import, that one can, too: PYTHONPATH may hold the dependencies.
+            env={**os.environ, "PYTHONPATH": os.pathsep.join([str(_PACKAGE.parent), *sys.path])},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=errors,

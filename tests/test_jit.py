@@ -315,6 +315,12 @@ def test_compiling_shows_its_progress_and_happens_once(monkeypatch, tmp_path, ca
     assert capsys.readouterr().err == ""
 
 
+def test_dependencies_that_a_path_holds_are_found_when_compiling(monkeypatch, tmp_path):
+    (tmp_path / "sitecustomize.py").write_text("print('found')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert list(precompile._compiled(("places",))) == ["found", "places"]
+
+
 def test_a_part_that_does_not_compile_is_an_error(monkeypatch, tmp_path):
     monkeypatch.setattr(jit, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(precompile, "GROUPS", (("no such part",),))
