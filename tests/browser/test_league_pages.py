@@ -98,6 +98,22 @@ def test_a_race_that_plays_leaves_a_screen_reader_where_it_is(browser, origin, c
     assert complaints == []
 
 
+def test_a_slider_with_the_focus_goes_back_where_a_short_race_begins_again(
+    browser, origin, complaints
+):
+    page = opened(browser, origin, complaints)
+    page.goto("/")
+    slider = page.locator(".scrub input")
+    page.get_by_role("button", name="Pause").focus()
+    page.keyboard.press("Tab")
+    while float(slider.input_value()) < 4.0:
+        page.keyboard.press("ArrowRight")
+    sought = slider.input_value()  # less than five seconds from either end
+    expect(slider).not_to_have_value(sought, timeout=20_000)
+    assert float(slider.input_value()) < 0.5
+    assert complaints == []
+
+
 def test_home_stands_still_where_motion_is_not_wanted(browser, origin, complaints):
     page = opened(browser, origin, complaints, reduced_motion="reduce")
     page.goto("/")

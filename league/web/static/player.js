@@ -349,7 +349,8 @@ class Player {
   showPanel(states, order) {
     const sought = !this.playing || this.shownAt < 0;
     const said = this.slider.matches(":focus-visible") && !sought;
-    if (!said || Math.abs(this.time - this.slider.value) >= SAID_S) {
+    const since = this.time - this.slider.value; // below 0 the race began again
+    if (!said || since < 0 || since >= SAID_S) {
       this.slider.value = this.time;
       this.slider.setAttribute("aria-valuetext", clock(this.time));
     }
