@@ -299,12 +299,14 @@ class RaceEnv:
             snapshot: `world.copy()` of an earlier moment, or `rows` of it, as many worlds as here.
 
         Raises:
-            ConfigError: sensors, Bullet and training keep more than the records of a snapshot.
+            ConfigError: Bullet, training and sensors with readings of earlier steps keep more than
+                the records of a snapshot.
         """
-        if self._solver is not None or self._sensors.carries or self.cfg.mode != "race":
+        if self._solver is not None or self._sensors.remembers or self.cfg.mode != "race":
             raise ConfigError(
-                "only races in the planar solver without sensors go on from a snapshot: give "
-                "mode 'race', solver 'planar' and cars without camera, lidar and history"
+                "only planar races with sensors that keep nothing go on from a snapshot: give mode "
+                "'race', solver 'planar', one frame, no history, and cameras and lidars "
+                f"that read at every step, {self.cfg.sim.step_hz} times a second"
             )
         for name in ("worlds", "cars", "obstacles"):
             getattr(self._world, name)[:] = getattr(snapshot, name)

@@ -74,6 +74,9 @@ class SensorSuite:
         self._frames = [cfg.sensors_of(car).frames for car in range(cfg.sim.num_cars)]
         self.carries = any(self._sensors) or any(self._history)
         """Whether any car keeps readings."""
+        late = [hz < cfg.sim.step_hz for own in self._sensors for hz, _ in own.values()]
+        self.remembers = any(late) or any(self._history) or max(self._frames) > 1
+        """Whether any car is given readings of an earlier step."""
         self.sees_truth = [cfg.sensors_of(car).truth for car in range(cfg.sim.num_cars)]
         self._computed: dict[str, np.ndarray] = {}
         self._fresh: set[str] = set()

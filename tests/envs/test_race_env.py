@@ -370,8 +370,9 @@ def test_worlds_on_tracks_that_are_not_there_are_refused(race_env, index):
         race_env(num_worlds=2).reset(track_index=np.array(index))
 
 
-def test_races_go_on_from_rows_of_a_snapshot_as_they_did(race_env):
-    env = race_env(sim=TWO, num_worlds=3)
+@pytest.mark.parametrize("sensors", [SensorConfig(), replace(SMALL, lidar=None)])
+def test_races_go_on_from_rows_of_a_snapshot_as_they_did(race_env, sensors):
+    env = race_env(sim=TWO, num_worlds=3, sensors=(sensors,))
     env.reset(seed=5)
     for step in range(10):
         env.step(wild(env, step))
@@ -391,7 +392,12 @@ def test_races_go_on_from_rows_of_a_snapshot_as_they_did(race_env):
 
 
 @pytest.mark.parametrize(
-    "settings", [{"solver": "bullet"}, {"sensors": (SMALL,)}, {"mode": "training"}]
+    "settings",
+    [
+        *({"solver": "bullet"}, {"mode": "training"}, {"sensors": (SMALL,)}),
+        {"sensors": (replace(SMALL, lidar=None, frames=2),)},
+        {"sensors": (SensorConfig(history=1),)},
+    ],
 )
 def test_a_snapshot_that_does_not_hold_all_is_refused(race_env, settings):
     env = race_env(**settings)
