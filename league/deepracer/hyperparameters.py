@@ -7,19 +7,18 @@ import os
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, field_validator
 
 from league.deepracer.model_metadata import load_json, reason
 from league.errors import ConfigError, brief, first_problem, nearest_names
+from league.race_spec import FrozenModel
 
 _WORDS = {"mean squared error": "mse", "e_greedy": "e-greedy"}  # Other spellings of words in use.
 _KEYS = {"learning_rate": "lr", "entropy": "beta_entropy"}  # Other names of keys in use.
 
 
-class Hyperparameters(BaseModel):
+class Hyperparameters(FrozenModel):
     """The values of a hyperparameters.json."""
-
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
     batch_size: int | None = Field(None, ge=1, le=8192)  # Samples in one minibatch.
     num_epochs: int | None = Field(None, ge=1, le=100)  # Passes over the collected samples.

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from league.envs.actions import MAX_SPEED, ActionSpace, ContinuousActions, DiscreteActions
 from league.errors import ConfigError, brief, first_problem, nearest_names
+from league.race_spec import FrozenModel
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
 
 VERSIONS = ("1", "2", "3", "4", "5", "6")
@@ -51,27 +52,23 @@ class Metadata:
     notes: tuple[str, ...] = ()  # Differences between the file and what the league does.
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class _Choice(_Strict):
+class _Choice(FrozenModel):
     steering_angle: Number
     speed: Number
     index: int | None = None
 
 
-class _Range(_Strict):
+class _Range(FrozenModel):
     low: Number
     high: Number
 
 
-class _Ranges(_Strict):
+class _Ranges(FrozenModel):
     steering_angle: _Range
     speed: _Range
 
 
-class _Lidar(_Strict):
+class _Lidar(FrozenModel):
     num_sectors: int = 8
     num_values_per_sector: int = Field(default=8, ge=1, le=64)
     clipping_dist: float = Field(default=2.0, ge=0.15, le=12.0)

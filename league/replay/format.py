@@ -7,11 +7,11 @@ import zlib
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from league.atomic_file import read_plain, replacing
 from league.errors import ReplayError, TrackError, first_problem
-from league.race_spec import RaceResult, of_older_version
+from league.race_spec import FrozenModel, RaceResult, of_older_version
 from league.replay.replay import GRAINS, PARAMETERS, Columns, Grain, Replay, from_whole, to_whole
 from league.sim.config import MAX_CARS
 from league.track import files
@@ -31,10 +31,8 @@ MIN_BYTES_PER_FRAME = 3
 """Every frame carries a checksum, which does not compress, so a smaller body is a bomb."""
 
 
-class _Header(BaseModel):
+class _Header(FrozenModel):
     """All but the columns."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     frames: int = Field(ge=1, le=MAX_FRAMES)
     cars: int = Field(ge=1, le=MAX_CARS)
