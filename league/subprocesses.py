@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
+from types import FrameType
 
 from league.errors import ConfigError
 
@@ -133,7 +134,7 @@ def sigint_blocked() -> Generator[None]:
 
 
 @contextlib.contextmanager
-def handling(handler: Callable[[int, object], None], *numbers: int) -> Generator[None]:
+def handling(handler: Callable[[int, FrameType | None], None], *numbers: int) -> Generator[None]:
     """Have signals handled by a function; only the main thread receives any."""
     receives = threading.current_thread() is threading.main_thread()
     before = {number: signal.signal(number, handler) for number in numbers if receives}

@@ -7,8 +7,7 @@ import shlex
 import shutil
 import signal
 import sys
-from collections.abc import Generator
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -166,15 +165,9 @@ def _refuse_taken(command: Train) -> None:
         )
 
 
-@contextmanager
-def _interrupted_by_sigterm() -> Generator[None]:
+def _interrupted_by_sigterm() -> AbstractContextManager[None]:
     """Treat SIGTERM as Ctrl-C, so that what was learnt is saved and the cursor comes back."""
-
-    def stop(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    with handling(stop, signal.SIGTERM):
-        yield
+    return handling(signal.default_int_handler, signal.SIGTERM)
 
 
 def _resume(command: Train, run: lazy.run.Run) -> None:
