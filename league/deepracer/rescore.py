@@ -37,7 +37,7 @@ class Score:
 
 def score(replay: Replay, reward: Reward, name: str) -> Score:
     """Return what a reward of all cars gives for each step; RewardError if a function fails."""
-    finished = _happened(replay, "finish").cumsum(axis=0) > 0
+    finished = _happened(replay, "finish")
     raced = np.where(finished.any(axis=0), finished.argmax(axis=0), replay.num_frames - 1)
     steps = []
     for number, (before, world, actions, verdicts) in enumerate(_steps(replay)):
