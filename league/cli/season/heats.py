@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import csv
 import json
-import math
 import shlex
 import sys
 import time
@@ -385,7 +384,7 @@ class Compare(Reading):
 
 
 def _elo(value: float) -> str:
-    return f"{value:+.0f}" if math.isfinite(value) else ("+∞" if value > 0 else "-∞")
+    return f"{value:+.0f}".replace("inf", "∞")
 
 
 def _driver(store: lazy.store.Store, text: str) -> lazy.worker.HeatDriver:
