@@ -24,13 +24,12 @@ from league.cli.season import OnLeague
 from league.errors import ConfigError, ReplayError
 from league.flags import Unset
 from league.sim import PHYSICS
-from league.sim.config import USUAL_OBSTACLES
+from league.sim.config import USUAL_OBSTACLES, RaceFormat, RaceKind, RulesName
 
 if TYPE_CHECKING:
     from league.cli.evaluate import Evaluate
     from league.race_spec import RaceResult, RaceSpec
     from league.racing.race import FinishedRace
-    from league.sim.config import RaceKind
     from league.sim.records import World
     from league.track.track import Track
 
@@ -75,9 +74,9 @@ class Race:
     ranking: Literal["total", "best", "average"] = "total"
     """Order by total time, best lap, or best mean of consecutive laps."""
     average_laps: int = 2  # How many consecutive laps the mean of --ranking average is of.
-    rules: Literal["league", "deepracer"] = "league"
+    rules: RulesName = "league"
     """Who is to blame and what it costs: as docs/rules.md has it, or as in the original."""
-    format: Literal["standing", "reverse", "qualifying", "pursuit"] = "standing"
+    format: RaceFormat = "standing"
     """How cars line up: standing, as named; qualifying, after two laps alone, the fastest first;
     reverse, the fastest last; pursuit, as named, spread evenly round the lap."""
     obstacles: Unset[Optional[int]] = None  # noqa: UP045  # as `Drivers`
