@@ -184,7 +184,7 @@ class Batch:
         try:
             rollout = Rollout(env, self._pool, [race.spec.seed for race in races], self._on_faults)
             for index, race in enumerate(races):
-                race.begin(env.world.row(index))
+                race.observe(env.world.row(index))
             while not all(race.result for race in races):
                 self._follow(rollout.step([race.readings for race in races]))
                 yield
@@ -244,11 +244,6 @@ class _RunningRace:
 
             self._recorder = Recorder(job.spec, tracks)
 
-    def begin(self, world: World) -> None:
-        if self._recorder:
-            self._recorder.add(world)
-        self._observe(world)
-
     def fault(self, car: int, failed: bool) -> bool:
         """Count a car's failures in a row; return whether its driver's race is over by them."""
         self._faults[car] = self._faults[car] + 1 if failed else 0
@@ -265,11 +260,9 @@ class _RunningRace:
         if news is not None:
             self._log.note(*news, world)
             self._sensing.refresh_after(news[0][np.newaxis])
-        if self._recorder:
-            self._recorder.add(world)
         if over:
             self.result = classify(self.spec, world, self._log)
-        self._observe(world)
+        self.observe(world)
 
     def so_far(self, world: World) -> Replay:
         """Return the recording up to now, when the race is `world`."""
@@ -281,7 +274,10 @@ class _RunningRace:
         replay = self._recorder.finish(self.result) if self._recorder else None
         return FinishedRace(result=self.result, replay=replay)
 
-    def _observe(self, world: World) -> None:
+    def observe(self, world: World) -> None:
+        """Record and show the race as it is; read the sensors, unless it is over."""
+        if self._recorder:
+            self._recorder.add(world)
         if self._watch:
             self._watch(world)
         if self.result is None:
