@@ -67,7 +67,7 @@ class _Fight:
     attacker: int | None = None  # who attacks and has neither passed nor fallen back
     # when each kind of line was last said [s]
     said_s: dict[str, float] = field(default_factory=dict)
-    passed: tuple[int, float] | None = None  # who passed last, and when [s]
+    passed: tuple[int, float] = (-1, -np.inf)  # who passed last, and when [s]
 
 
 class Commentator:
@@ -170,8 +170,8 @@ class Commentator:
 
     def _passes(self, event: Event, other: int, cars: Cars) -> str:
         fight = self._fights.setdefault(frozenset((event.car, other)), _Fight())
-        again = fight.passed is not None and fight.passed[0] == other
-        back = again and fight.passed is not None and event.time_s - fight.passed[1] < BACK_S
+        last, passed_s = fight.passed
+        back = last == other and event.time_s - passed_s < BACK_S
         fight.passed, fight.attacker = (event.car, event.time_s), None
         passes = f"{self._of(event.car)} passes {self._of(other)}{' back' * back}"
         if self._pursuit_m:
