@@ -66,7 +66,7 @@ def from_modules(
     convolutions, seen = _layers(cnn.modules() if cnn is not None else (), activations)
     kernels = [weight for weight, _ in convolutions if weight.ndim == 4]
     dense, _ = _layers(mlp.modules(), activations, ends=True)
-    if len(kernels) + len(activations) == 0 or len(set(activations)) > 1:
+    if len(set(activations)) != 1:
         raise PolicyError(
             f"the network of {name!r} has the activations {sorted(set(activations))}: a checkpoint "
             "has one, which follows every layer but the last; train with the same everywhere"
