@@ -8,7 +8,7 @@ import re
 import struct
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
@@ -120,7 +120,7 @@ class Checkpoint:
     card: Card  # what it is
     weights: Mapping[str, np.ndarray]  # weights by name, float32
     # the card as JSON with sorted keys; made of the card unless it was read from a file
-    text: str = field(default="")
+    text: str = ""
 
     def __post_init__(self) -> None:
         with refusing(
