@@ -131,7 +131,6 @@ def _one(command: Evaluate, track: str) -> tuple[Evaluation, lazy.trace.Trace | 
     course = lazy.files.load(track)
     tracks, sim = lazy.track.TrackSet(course), SimConfig()
     driver = lazy.roster.load(command.driver, tracks, sim.car)
-    opponents = [lazy.roster.load(name, tracks, sim.car) for name in command.opponents]
     trace = reward = None
     if command.trace is not None:
         space: ActionSpace | None = getattr(getattr(driver, "card", None), "action_space", None)
@@ -152,7 +151,7 @@ def _one(command: Evaluate, track: str) -> tuple[Evaluation, lazy.trace.Trace | 
             kind="bot" if command.bots else "box",
             random_places=not command.fixed_obstacles,
         ),
-        opponents=opponents,
+        opponents=command.opponents,
         reward=reward,
         watch=None if trace is None else trace.add,
     )

@@ -9,14 +9,13 @@ from statistics import fmean
 from typing import NamedTuple
 
 from league import subprocesses
-from league.agents import roster
 from league.agents.checkpoint import Checkpoint
 from league.agents.policy import Policy
 from league.errors import PolicyError
 from league.racing.evaluate import evaluate
 from league.racing.table import Evaluation, Trial
 from league.sim.config import ObstacleConfig, RaceKind, SimConfig
-from league.track.track import Track, TrackSet
+from league.track.track import Track
 
 CLEAN_RUNS = 20  # runs from the start line of which a card says how many were clean
 TIMEOUT_S = 600.0  # longest wait for one evaluation [s]
@@ -54,11 +53,11 @@ def evaluate_policy(cfg: EvalConfig, checkpoint: Checkpoint) -> Evaluation:
             track,
             laps=cfg.laps,
             trials=cfg.trials,
-            kind="head_to_head" if cfg.opponents else cfg.kind,
+            kind=cfg.kind,
             mode="episode",
             seed=cfg.seed,
             obstacles=cfg.obstacles,
-            opponents=[roster.load(name, TrackSet(track), car) for name in cfg.opponents],
+            opponents=cfg.opponents,
         )
         evaluations.append(evaluation)
         for trial in evaluation.trials:
