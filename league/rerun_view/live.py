@@ -82,7 +82,7 @@ class Live:
         text = record.running_order(self._title, order, fight)
         if text != self._shown:
             self._shown = text
-            self._writer.send_text(layout.TITLE, times, [text])
+            self._writer.send_title(times, [text])
         self._follow(times, cars[0, shot.rear])
         now = time.monotonic()
         self._began_s = now if self._began_s is None else self._began_s

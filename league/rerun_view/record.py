@@ -85,7 +85,7 @@ def _send_order(writer: SceneWriter, replay: Replay, fights: Sequence[str]) -> N
     # The last frame is the classification's, also where the order changed in it.
     texts[-1] = classification(replay)
     changes = [k for k in range(len(texts)) if k == 0 or texts[k] != texts[k - 1]]
-    writer.send_text(layout.TITLE, replay.times_s[changes], [texts[k] for k in changes])
+    writer.send_title(replay.times_s[changes], [texts[k] for k in changes])
 
 
 def send_line(writer: SceneWriter, line: broadcast.Remark) -> None:

@@ -65,7 +65,7 @@ class SceneWriter:
         recording.log(layout.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._mesh(layout.FLOOR, floor(track))
         self._mesh(layout.WALLS, walls(track), WALL_OPACITY)
-        rim, shade = wheel(), shadow(CAR)
+        rim, shade = wheel(), shadow()
         for slot, (name, colour) in enumerate(zip(names, CAR_COLOURS, strict=False)):
             self._mesh(layout.car(slot, "body"), car_body(CAR, colour))
             self._mesh(layout.car(slot, "shadow"), shade, SHADOW_OPACITY)
@@ -183,10 +183,11 @@ class SceneWriter:
         times = [rr.TimeColumn(layout.TIMELINE, duration=times_s)]
         self.recording.send_columns(path, times, columns)
 
-    def send_text(self, path: str, times: ndarray, texts: Sequence[str]) -> None:
-        """Send Markdown that is shown from some times on."""
+    def send_title(self, times_s: ndarray, texts: Sequence[str]) -> None:
+        """Send Markdown that is shown as order or classification from some times on [s]."""
         media = [rr.MediaType.MARKDOWN] * len(texts)
-        self.send(path, times, rr.TextDocument.columns(text=texts, media_type=media))
+        titles = rr.TextDocument.columns(text=texts, media_type=media)
+        self.send(layout.TITLE, times_s, titles)
 
     def send_event(
         self, time_s: float, text: str, colour: Sequence[int] = NEUTRAL, level: str = "INFO"
@@ -273,13 +274,13 @@ def car_body(model: Model, colour: Rgb) -> Mesh:
     return joined(*(solid_mesh(solid, colour) for solid in fixed))
 
 
-def shadow(model: Model) -> Mesh:
+def shadow() -> Mesh:
     """Return the shade below a car, rounded, just above the road's paint."""
     angles = np.linspace(0, 2 * np.pi, 32, endpoint=False)
     cos, sin = np.cos(angles), np.sin(angles)
     # A superellipse: a rectangle with soft corners.
-    x = model.half_length * 1.04 * np.sign(cos) * np.abs(cos) ** 0.5
-    y = model.half_width * 1.12 * np.sign(sin) * np.abs(sin) ** 0.5
+    x = CAR.half_length * 1.04 * np.sign(cos) * np.abs(cos) ** 0.5
+    y = CAR.half_width * 1.12 * np.sign(sin) * np.abs(sin) ** 0.5
     corners = np.stack([x, y, np.full_like(x, 5 * LIFT)], axis=1)
     return _polygon(corners, (6, 8, 10), inside=np.array([0.0, 0.0, -1.0]))
 
