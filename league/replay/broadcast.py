@@ -243,7 +243,7 @@ def lap_of_pursuit(spec: RaceSpec, track: Track) -> float:
     return track.length if spec.format == "pursuit" else 0.0
 
 
-def places_m(cars: Cars, pursuit_m: float = 0.0) -> np.ndarray:
+def places_m(cars: Cars, pursuit_m: float) -> np.ndarray:
     """Return how far ahead each car is, (num_cars,) [m]: cars that fight have near places.
 
     That is the distance driven. In a pursuit, with a lap of `pursuit_m`, cars that have driven as
@@ -259,7 +259,7 @@ def places_m(cars: Cars, pursuit_m: float = 0.0) -> np.ndarray:
     return (on_road - ordered[free.argmax()]) % pursuit_m
 
 
-def gaps_m(cars: Cars, pursuit_m: float = 0.0) -> dict[tuple[int, int], float]:
+def gaps_m(cars: Cars, pursuit_m: float) -> dict[tuple[int, int], float]:
     """Return the gaps of neighbours by `places_m` that race, by (front, rear) [m]."""
     place, ghost = places_m(cars, pursuit_m), np.asarray(cars["ghost"]).astype(bool)
     order = [car for car in np.argsort(-place, kind="stable").tolist() if not ghost[car]]
@@ -272,7 +272,7 @@ def _seconds(gap: float, cars: Cars, rear: int) -> float:
     return gap / max(speed, 0.5)
 
 
-def shortened(lines: Sequence[Remark], most: int = 12) -> list[Remark]:
+def shortened(lines: Sequence[Remark], most: int) -> list[Remark]:
     """Return the lines that matter most, in order of time; of equal ones the later."""
     kept = [line for line in lines if line.kind in _WEIGHT]
     kept.sort(key=lambda line: (_WEIGHT[line.kind], -line.time_s))
