@@ -278,9 +278,8 @@ def _popped(stack: list[Any], count: int) -> list[Any]:
 
 
 def _popped_to_mark(stack: list[Any]) -> list[Any]:
-    depth = next(depth for depth, value in enumerate(reversed(stack)) if value is _MARK)
-    values = _popped(stack, depth + 1)
-    return values[1:]
+    depth = stack[::-1].index(_MARK)
+    return _popped(stack, depth + 1)[1:]
 
 
 def _set_items(pairs: list[Any], target: object) -> None:

@@ -175,6 +175,8 @@ def corpus(folder: Path) -> Corpus:
     write("bit_flip", bytes(damaged), "check sum|damaged|differ|not what")
     many_ops = b"\x80\x02" + b"}" * 30_000 + b"."
     write("many_opcodes", rezipped(sane, replace={"data.pkl": many_ops}), "opcodes")
+    unmarked = b"\x80\x02t."  # a tuple of all since a mark that was never set
+    write("unmarked", rezipped(sane, replace={"data.pkl": unmarked}), "head is damaged")
     reduced = b"\x80\x04\x95"
     write("protocol_4", rezipped(sane, replace={"data.pkl": reduced}), "protocol 2")
     big_head = b"\x80\x02" + bytes(2 << 20)
