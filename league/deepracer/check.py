@@ -217,7 +217,8 @@ class _ParamsRecorder:
     def __call__(
         self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray
     ) -> Paid:
-        self.params.extend(self._builder.rows(tracks, before, world, verdicts).params)
+        rows = self._builder.rows(tracks, before, world, verdicts)
+        self.params.extend(params for _, _, params in rows)
         return np.zeros(verdicts.shape, np.float32), {}
 
 

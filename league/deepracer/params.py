@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -34,14 +33,6 @@ KEYS = (
 
 Params = dict[str, object]
 Point = tuple[float, float]
-
-
-class Rows(NamedTuple):
-    """The params of some cars of some worlds."""
-
-    world: list[int]  # World of each row.
-    car: list[int]  # Car of each row.
-    params: list[Params]  # Argument of each row's function; no two share a list.
 
 
 class ParamsBuilder:
@@ -77,10 +68,13 @@ class ParamsBuilder:
         self.memory["fresh"][begun] = True
         self._to_note = True
 
-    def rows(self, tracks: TrackSet, before: World, world: World, verdicts: np.ndarray) -> Rows:
-        """Return the params of each paid car that stands no penalty and has not finished.
+    def rows(
+        self, tracks: TrackSet, before: World, world: World, verdicts: np.ndarray
+    ) -> list[tuple[int, int, Params]]:
+        """Return world, car and params of each paid car; no two params share a list.
 
-        The arguments are those of a Reward.
+        Cars that stand a penalty or have finished are left out. The arguments are those of a
+        Reward.
         """
         if tracks is not self._tracks:
             self._roads, self._tracks = Roads.of(tracks), tracks
@@ -92,22 +86,17 @@ class ParamsBuilder:
             *(*known, roads.own_waypoints, before.cars, world.cars, world.obstacles, world.worlds),
             *(verdicts, self._step_dt),
         )
-        rows = own.tolist()
-        return Rows(
-            world=[int(row[params_kernels.WORLD]) for row in rows],
-            car=[int(row[params_kernels.CAR]) for row in rows],
-            params=[_params(roads, *row) for row in zip(rows, objects.tolist(), strict=True)],
-        )
+        return [_row(roads, *row) for row in zip(own.tolist(), objects.tolist(), strict=True)]
 
 
-def _params(roads: Roads, own: list[float], objects: list[list[float]]) -> Params:
-    """Return the params of a car, from the columns and rows of `params_kernels.build`."""
+def _row(roads: Roads, own: list[float], objects: list[list[float]]) -> tuple[int, int, Params]:
+    """Return world, car and params, from the columns and rows of `params_kernels.build`."""
     # Unpacked in the order of the columns: looking each up by name takes twice as long.
-    (_, _, steering, speed, x, y, heading, distance, projection, width, length, progress, sim_time,
-     steps, is_left, all_on_road, none_on_road, crashed, track, behind, following, last_object,
-     next_object, sees_next) = own  # fmt: skip
+    (world, car, steering, speed, x, y, heading, distance, projection, width, length, progress,
+     sim_time, steps, is_left, all_on_road, none_on_road, crashed, track, behind, following,
+     last_object, next_object, sees_next) = own  # fmt: skip
     objects_s, from_center, headings, speeds, objects_x, objects_y, on_left = objects
-    return {
+    params: Params = {
         "all_wheels_on_track": all_on_road > 0,
         "closest_objects": [int(last_object), int(next_object)],
         "closest_waypoints": [int(behind), int(following)],
@@ -136,6 +125,7 @@ def _params(roads: Roads, own: list[float], objects: list[list[float]]) -> Param
         "x": x,
         "y": y,
     }
+    return int(world), int(car), params
 
 
 @dataclass(frozen=True, eq=False)

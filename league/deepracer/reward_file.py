@@ -289,10 +289,10 @@ class UserReward:
         rewards = np.zeros(verdicts.shape, dtype=np.float32)
         start_s = time.perf_counter()
         with self._watchdog as watchdog:
-            for place, car, params in zip(rows.world, rows.car, rows.params, strict=True):
+            for place, car, params in rows:
                 watchdog.calls += 1
                 rewards[place, car] = self._call(place, car, params)
-        self._note_time(start_s, len(rows.params))
+        self._note_time(start_s, len(rows))
         return rewards, {TERM: rewards}
 
     def _note_time(self, start_s: float, calls: int) -> None:

@@ -50,7 +50,7 @@ class Told:
         verdicts, after = Stages(self.tracks, self.sim).judge(self.world, after, contacts)
         rows = self.builder.rows(self.tracks, self.world, after, verdicts)
         self.world = after
-        return rows.params
+        return [params for _, _, params in rows]
 
 
 def alone(tracks, start, end, **options):
