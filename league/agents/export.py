@@ -65,12 +65,8 @@ def _model(checkpoint: Checkpoint) -> ModelProto:
     from onnx import TensorProto, checker, helper
 
     card = checkpoint.card
-    graph = _Graph()
-    for name, weight in checkpoint.weights.items():
-        if not name.startswith("obs_normalizer"):
-            graph.constant(name, weight)
-    outputs = graph.actor(card, checkpoint)
-    graph.actions(card, outputs)
+    graph = _Graph(checkpoint)
+    graph.actions(graph.actor())
 
     def port(name: str, *shape: int) -> Any:  # noqa: ANN401
         kind = TensorProto.UINT8 if len(shape) == 3 else TensorProto.FLOAT
@@ -170,9 +166,13 @@ def _motion_notes() -> list[dict[str, Any]]:
 
 
 class _Graph:
-    def __init__(self) -> None:
+    def __init__(self, checkpoint: Checkpoint) -> None:
         self.nodes: list[NodeProto] = []
         self.constants: list[Any] = []
+        self._card, self._weights = checkpoint.card, checkpoint.weights
+        for name, weight in self._weights.items():
+            if not name.startswith("obs_normalizer"):
+                self.constant(name, weight)
 
     def constant(self, name: str, value: np.ndarray) -> str:
         from onnx import numpy_helper
@@ -186,52 +186,52 @@ class _Graph:
         self.nodes.append(helper.make_node(kind, list(inputs), [name], name=name, **settings))
         return name
 
-    def activate(self, card: Card, values: str, name: str) -> str:
-        if card.network.activation == "swish":
+    def activate(self, values: str, name: str) -> str:
+        if self._card.network.activation == "swish":
             return self.add("Mul", [values, self.add("Sigmoid", [values], f"{name}.gate")], name)
-        kind, settings = _ACTIVATIONS[card.network.activation]
+        kind, settings = _ACTIVATIONS[self._card.network.activation]
         return self.add(kind, [values], name, **settings)
 
-    def actor(self, card: Card, checkpoint: Checkpoint) -> str:
+    def actor(self) -> str:
         """Add the network; return the name of its outputs."""
-        shapes = card.group_shapes
+        shapes = self._card.group_shapes
         flat = [name for name, shape in shapes.items() if len(shape) == 1]
-        parts = [self.normalised(self.add("Concat", flat, "flat", axis=1), checkpoint)]
-        parts += [self.picture(card, name) for name, shape in shapes.items() if len(shape) == 3]
+        parts = [self.normalised(self.add("Concat", flat, "flat", axis=1))]
+        parts += [self.picture(name) for name, shape in shapes.items() if len(shape) == 3]
         layer_input = self.add("Concat", parts, "latent", axis=1)
-        last = 2 * len(card.network.hidden)
+        last = 2 * len(self._card.network.hidden)
         for layer in range(0, last + 1, 2):
             name = "outputs" if layer == last else f"mlp.{layer}"
             weights = [f"mlp.{layer}.weight", f"mlp.{layer}.bias"]
             layer_input = self.add("Gemm", [layer_input, *weights], name, transB=1)
             if layer < last:
-                layer_input = self.activate(card, layer_input, f"mlp.{layer + 1}")
+                layer_input = self.activate(layer_input, f"mlp.{layer + 1}")
         return layer_input
 
-    def normalised(self, flat: str, checkpoint: Checkpoint) -> str:
-        mean = checkpoint.weights.get("obs_normalizer._mean")
+    def normalised(self, flat: str) -> str:
+        mean = self._weights.get("obs_normalizer._mean")
         if mean is None:
             return flat
-        spread = checkpoint.weights["obs_normalizer._std"] + NORMALISER_EPS
+        spread = self._weights["obs_normalizer._std"] + NORMALISER_EPS
         shifted = self.add("Sub", [flat, self.constant("mean", mean)], "flat.shifted")
         return self.add("Div", [shifted, self.constant("spread", spread)], "flat.scaled")
 
-    def picture(self, card: Card, group: str) -> str:
+    def picture(self, group: str) -> str:
         from onnx import TensorProto
 
         image = self.add("Cast", [group], f"{group}.float", to=TensorProto.FLOAT)
         white = self.constant(f"{group}.white", np.array([255.0], np.float32))
         image = self.add("Div", [image, white], f"{group}.scaled")
-        for layer, stride in enumerate(card.network.strides):
+        for layer, stride in enumerate(self._card.network.strides):
             name = f"cnns.{group}.{2 * layer}"
             weights = [f"{name}.weight", f"{name}.bias"]
             image = self.add("Conv", [image, *weights], name, strides=[stride, stride])
-            image = self.activate(card, image, f"cnns.{group}.{2 * layer + 1}")
+            image = self.activate(image, f"cnns.{group}.{2 * layer + 1}")
         return self.add("Flatten", [image], f"{group}.latent", axis=1)
 
-    def actions(self, card: Card, outputs: str) -> None:
+    def actions(self, outputs: str) -> None:
         """Add the conversion of outputs to steering [deg] and speed [m/s]."""
-        space = card.action_space
+        space = self._card.action_space
         if not isinstance(space, ContinuousActions):
             chosen = self.add("ArgMax", [outputs], "chosen", axis=1, keepdims=0)
             table = self.constant("choices", np.asarray(space.choices, np.float32))
