@@ -21,7 +21,7 @@ PARAMETERS = ("grip", "mass", "latency_s", "steering_offset", "camera_up", "came
 """A car's parameters, in the order of the file."""
 JUMP = 0.5
 """A car that moved farther than this in one step [m] was put back: nothing is drawn between."""
-Axis = Literal["cars", "actions", "obstacles", "frames"]
+Axis = Literal["cars", "actions", "obstacles"]
 TURN_STEP = 2 * np.pi / 65536
 """A heading is kept in 65,536ths of a turn (9.6e-5 rad), so that it wraps by itself."""
 

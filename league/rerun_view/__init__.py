@@ -2,6 +2,6 @@
 
 from league.rerun_view.live import Live
 from league.rerun_view.record import save
-from league.rerun_view.viewer import has_display, open_viewer, serve
+from league.rerun_view.viewer import open_viewer, serve
 
-__all__ = ["Live", "has_display", "open_viewer", "save", "serve"]
+__all__ = ["Live", "open_viewer", "save", "serve"]
