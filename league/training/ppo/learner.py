@@ -103,7 +103,6 @@ class Learner:
 
     def load_weights(self, weights: Mapping[str, np.ndarray]) -> None:
         """Take the actor's weights from a policy; PolicyError if its layers differ."""
-        own = self._alg.get_policy().state_dict()
         shapes = {name: value.shape for name, value in self.weights().items()}
         if shapes != {name: value.shape for name, value in weights.items()}:
             raise PolicyError(
@@ -111,7 +110,7 @@ class Learner:
                 "give the run the same, or start a new run"
             )
         new = {name: torch.from_numpy(value) for name, value in weights.items()}
-        self._alg.get_policy().load_state_dict({**own, **new})
+        self._alg.get_policy().load_state_dict(new, strict=False)  # what a policy lacks stays
         self._begin_average()
 
     def update(self, share: float) -> Update:
