@@ -20,6 +20,7 @@ import numpy as np
 
 from league import jit
 from league.errors import LeagueError
+from league.threads import processors
 
 _COMPLETE = "complete"
 _PACKAGE = Path(__file__).parent
@@ -34,7 +35,7 @@ def ensure() -> None:
     one_at_a_time = threading.Lock()
     began = time.monotonic()
     _show(0, began)
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+    with ThreadPoolExecutor(processors()) as pool:
 
         def compile_group(parts: Iterable[str]) -> None:
             for part in _compiled(parts):

@@ -33,7 +33,15 @@ def shared_out(loop: Callable[..., int], num_rows: int, least: int, *arguments: 
 def num_threads() -> int:
     """Return how many threads may work: OMP_NUM_THREADS, or the processors of this process."""
     limit = os.environ.get("OMP_NUM_THREADS", "")
-    return int(limit) if limit.isdigit() and int(limit) > 0 else len(os.sched_getaffinity(0))
+    return int(limit) if limit.isdigit() and int(limit) > 0 else processors()
+
+
+def processors() -> int:
+    """Return how many processors this process may use."""
+    # Only on Linux can it be fewer than the machine has.
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 @cache

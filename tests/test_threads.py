@@ -1,11 +1,12 @@
 """Rows shared out among threads: each once, and few of them on one thread."""
 
+import os
 import threading
 from itertools import pairwise
 
 import pytest
 
-from league.threads import shared_out
+from league.threads import num_threads, processors, shared_out
 
 
 @pytest.mark.parametrize(
@@ -28,3 +29,13 @@ def test_each_row_is_worked_on_once(monkeypatch, num_rows, threads, parts):
     bounds = [0, *(stop for _, stop, _ in sorted(done))]
     assert sorted(done) == [(*pair, "given") for pair in pairwise(bounds)]
     assert bounds[-1] == num_rows
+
+
+def test_processors_are_counted_where_python_cannot_say_which_are_allowed(monkeypatch):
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    assert num_threads() == processors() >= 1
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)  # as on macOS
+    monkeypatch.setattr(os, "cpu_count", lambda: 3)
+    assert num_threads() == processors() == 3
+    monkeypatch.setattr(os, "cpu_count", lambda: None)
+    assert processors() == 1
