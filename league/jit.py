@@ -68,6 +68,7 @@ def cache_folder() -> Path | None:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=folder):
+                os.utime(folder)  # In use: what was not for a day is removed (precompile.py).
                 return folder
         except OSError:
             continue

@@ -154,6 +154,16 @@ def test_machine_code_is_kept_and_made_again_when_a_helper_elsewhere_changes(tmp
     assert not here.home.exists()
 
 
+def test_machine_code_that_a_program_uses_counts_as_used_today(monkeypatch, tmp_path):
+    monkeypatch.setattr(jit, "__file__", str(tmp_path / "jit.py"))
+    folder = jit.cache_folder.__wrapped__()
+    assert folder.is_relative_to(tmp_path)
+    os.utime(folder, (0, 0))
+    assert jit.cache_folder.__wrapped__() == folder
+    precompile._remove_older(folder.with_name("jit-newer"))
+    assert folder.exists()
+
+
 def test_read_only_installation_compiles_into_the_users_cache(tmp_path):
     here = Installation(tmp_path)
     here.make_read_only()
