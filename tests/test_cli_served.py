@@ -81,6 +81,11 @@ def test_a_checkpoint_is_submitted_to_a_served_league_and_retired_there(store, s
             "retire", "centerline", "--yes", "--to", url, code=2
         )
         assert "no terminal" in said("retire", "Ann's car", "--to", url, code=2)
+        with monkeypatch.context() as asked:
+            asked.setattr("sys.stdin.isatty", lambda: True)
+            asked.setattr("builtins.input", lambda question: "no")
+            assert said("retire", "free", "--to", url, code=1) == "free stays as it is.\n"
+        assert store.entry("free").state == "pending"
         assert "scripted driver" in said("submit", "cautious", "--to", url, code=2)
         assert "leave it out" in said("submit", "mine.pt", "--to", url, "--owner", "x", code=2)
         wrong = said("submit", "mine.pt", "--to", url, "--token", secret[:-1] + "!", code=2)

@@ -52,7 +52,7 @@ REMOVED_FLAGS = {
 
 @dataclass(frozen=True)
 class Train:
-    """Train a driver with PPO on many worlds, judged in Bullet from the start line."""
+    """Train a driver with PPO on many worlds, evaluated in Bullet from the start line."""
 
     out: Path = Path("policy.pt")
     """Where the best policy goes; the run's own files go into a folder next to it, NAME.run."""

@@ -1,1 +1,1 @@
-"""Training: a learner on many planar worlds, judged in Bullet from the start line."""
+"""Training: a learner on many planar worlds, evaluated in Bullet from the start line."""

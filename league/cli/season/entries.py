@@ -181,6 +181,7 @@ class Retire(OnServer):
         if self.to:
             client, asked = self.client(), {"entry": self.entry, "reason": self.reason}
             if not self.yes and not _confirmed(f"{self.entry} at {self.to}"):
+                print(f"{self.entry} stays as it is.")
                 return 1
             sent = client.ask("/api/v1/entries/retire", json.dumps(asked).encode())
             name, changed = tables.spelled(str(sent.get("name", ""))), bool(sent.get("changed"))
