@@ -77,8 +77,8 @@ class Season(Contest):
     until: int | None
     """Number of its last heat; None while it is running."""
 
-    def has(self, heat: np.ndarray) -> np.ndarray:
-        """Return which heats (numbers) are among its own."""
+    def has(self, heat: Any) -> Any:  # noqa: ANN401
+        """Return whether a heat (its number) is among its own; of an array or a column, which."""
         return (heat > self.after) & (self.until is None or heat <= self.until)
 
 

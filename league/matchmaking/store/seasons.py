@@ -71,8 +71,7 @@ class SeasonStore(schema.Transactional):
             change.update(seasons, running, until=newest)
             season = _numbered(listed(change.connection), number)
             queue.reap(change)
-            own = (heats.c.number > season.after) & (heats.c.number <= season.until)
-            own &= heats.c.purpose == "rated"
+            own = season.has(heats.c.number) & (heats.c.purpose == "rated")
             cancelled = queue.cancel(change, own)
             change.log("league", "season close", season.name, cancelled=cancelled)
             racing = sa.select(sa.func.count()).where(heats.c.state == "claimed", own)

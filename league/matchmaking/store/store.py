@@ -166,8 +166,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         # By an index of states the database would sort all heats that are done.
         match = self._shown(heats.c.number) & (heats.c.state.concat("") == "done")
         if season is not None:
-            match &= heats.c.number > season.after
-            match &= heats.c.number <= season.until if season.until is not None else sa.true()
+            match &= season.has(heats.c.number)
         return match if entry is None else match & heats.c.number.in_(queue.of_entry(entry))
 
     def races(
@@ -266,12 +265,8 @@ class SeasonView(Store):
 
     def heat_states(self, entry: int) -> dict[int, records.HeatState]:
         """Return the states of an entry's heats of the season; see QueueStore.heat_states."""
-        within = range(self.season.after + 1, (self.season.until or 0) + 1)
-        return {
-            number: state
-            for number, state in super().heat_states(entry).items()
-            if number in within
-        }
+        states = super().heat_states(entry).items()
+        return {number: state for number, state in states if self.season.has(number)}
 
     def drives(self, ruleset: str, *, since: int = 0) -> records.Drives:
         """Return how each car drove up to the end of the season; see Store.drives."""
@@ -279,7 +274,7 @@ class SeasonView(Store):
         return drives.where(drives.heat <= (self.season.until or 0))
 
     def _shown(self, heat: sa.ColumnElement[int]) -> sa.ColumnElement[bool]:
-        return (heat > self.season.after) & (heat <= (self.season.until or 0))
+        return self.season.has(heat)
 
 
 def create(

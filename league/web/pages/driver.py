@@ -297,8 +297,7 @@ def matchup(reader: Reader, one: int, other: int, before: str = "", season: str 
     if end is not None:
         records = [record for record in records if record.number < end]
     if chosen:
-        within = chosen.has(np.array([record.number for record in records]))
-        records = [record for record, kept in zip(records, within, strict=True) if kept]
+        records = [record for record in records if chosen.has(record.number)]
     return {
         "one": pair[0],
         "other": pair[1],
