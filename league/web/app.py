@@ -5,9 +5,8 @@ from __future__ import annotations
 import contextlib
 import gzip
 import hashlib
-import json
 import re
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from datetime import UTC, datetime
 from http import HTTPStatus
 from importlib import resources
@@ -21,7 +20,7 @@ from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Match, Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -109,7 +108,7 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
         return endpoint(one, shown)
 
     def data(_: Request, document: Document) -> Response:
-        return _json(_without_drawings(document))
+        return JSONResponse(plain(_without_drawings(document)))
 
     def download(answer: Callable[..., Response]) -> Callable[[Request], Response]:
         return lambda request: answer(reader, access, request, **request.path_params)
@@ -118,7 +117,7 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
         status, sentence = _status(error)
         headers = error.headers if isinstance(error, HTTPException) else None
         if request.url.path.startswith("/api/"):
-            return _json({"error": sentence}, status, headers)
+            return JSONResponse({"error": sentence}, status, headers)
         content = templates.get_template("error.html").render(
             path="", query="", title=HTTPStatus(status).phrase, sentence=sentence
         )
@@ -128,7 +127,7 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
         *(Route(one.path, page(one)) for one in PAGES if one.template),
         *(Route(one.api_path, endpoint(one, data)) for one in PAGES if one.has_api),
         *(Route(path, download(answer)) for path, answer in DOWNLOADS.items()),
-        Route(openapi.PATH, lambda _: _json(openapi.document(store.settings.name))),
+        Route(openapi.PATH, lambda _: JSONResponse(openapi.document(store.settings.name))),
         *(Route(f"/static/{name}", _static(name)) for name in STATIC),
         Route("/favicon.ico", lambda _: RedirectResponse("/static/icon.svg", 308)),
     ]
@@ -189,13 +188,6 @@ def _iso(seconds: float) -> str:
 def _code(text: str) -> Markup:
     """Return a text in which commands stand between backticks as HTML."""
     return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))
-
-
-def _json(
-    document: object, status: int = 200, headers: Mapping[str, str] | None = None
-) -> Response:
-    content = json.dumps(plain(document), ensure_ascii=False, separators=(",", ":"))
-    return Response(content, status, headers, media_type="application/json")
 
 
 def _without_drawings(value: object) -> object:

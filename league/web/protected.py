@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -15,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import RedirectResponse, Response
+from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from league.errors import DatabaseError, LeagueError, QuotaError, brief, first_problem
@@ -104,10 +103,7 @@ class Protected:
             value = self.handle(replace(asked, body=self._parsed(asked.body)))
         if isinstance(value, bytes):
             return Response(value, media_type="application/octet-stream")
-        if isinstance(value, BaseModel):
-            value = value.model_dump(mode="json")
-        content = json.dumps(plain(value), ensure_ascii=False, separators=(",", ":"))
-        return Response(content, media_type="application/json")
+        return JSONResponse(plain(value))
 
     def _parsed(self, content: bytes) -> object:
         """Return a body, checked."""
