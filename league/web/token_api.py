@@ -12,19 +12,11 @@ from league.agents.checkpoint import MAX_SIZE_CAMERA
 from league.errors import StoreError, brief
 from league.matchmaking import submission, wire
 from league.matchmaking.documents import names_of
-from league.matchmaking.store import (
-    EntryState,
-    HeatRecord,
-    LeagueEntry,
-    Received,
-    Store,
-    Token,
-)
+from league.matchmaking.store import EntryState, HeatRecord, LeagueEntry, Received
 from league.matchmaking.store.queue import LEASE_S
 from league.race_spec import printable
 from league.web.protected import Asked, Form, Protected, text
 from league.web.reader import Document, Reader
-from league.web.security import Access
 
 WORK = "/api/v1/work"
 MOST_HELD = 64
@@ -72,22 +64,19 @@ class Retired:
     """False if it was retired already."""
 
 
-def enter(
-    store: Store, access: Access, token: Token, content: bytes, name: str, *, download: bool
-) -> LeagueEntry:
+def enter(asked: Asked, content: bytes, name: str, *, download: bool) -> LeagueEntry:
     """Check what the owner of a token sent, and enter it, as `league submit` does."""
     if not name:
         raise HTTPException(422, "The entry has no name: give one.")
-    return submission.accept(store, content, name, token.owner, access.quota, download=download)
+    owner, quota = asked.token.owner, asked.access.quota
+    return submission.accept(asked.store, content, name, owner, quota, download=download)
 
 
 def _submit(asked: Asked) -> Submitted:
     name, offered = asked.query["name"], asked.query["download"]
     if offered not in ("", "false", "true"):
         raise HTTPException(422, f"download is {brief(offered)}: give true or false.")
-    entry = enter(
-        asked.store, asked.access, asked.token, asked.body, name, download=offered == "true"
-    )
+    entry = enter(asked, asked.body, name, download=offered == "true")
     same = ("number", "id", "name", "owner", "state", "near_copy_of", "downloadable")
     values = {name: getattr(entry, name) for name in same}
     return Submitted(**values, page=f"/drivers/{entry.number}")
@@ -105,9 +94,9 @@ def _retire(asked: Asked) -> Retired:
     return Retired(entry.name, "retired", bool(changed))
 
 
-def worker_of(token: Token, name: str) -> str:
-    """Return what the store knows a remote worker by: no other token has it."""
-    return f"{token.number}/{token.owner[:80]}/{name}"
+def worker_of(asked: Asked) -> str:
+    """Return what the store knows the asking worker by: no other token has it."""
+    return f"{asked.token.number}/{asked.token.owner[:80]}/{asked.body.worker}"
 
 
 def _held(asked: Asked) -> list[HeatRecord]:
@@ -129,8 +118,8 @@ def _claim(asked: Asked) -> wire.Lent:
     limit = min(claim.limit, MOST_HELD - len(_held(asked)))
     if limit <= 0:
         return wire.Lent()
-    name, owner = worker_of(asked.token, claim.worker), asked.token.owner
-    records = asked.store.claim(name, limit, lease_s=claim.lease_s, lender=owner)
+    worker, owner = worker_of(asked), asked.token.owner
+    records = asked.store.claim(worker, limit, lease_s=claim.lease_s, lender=owner)
     if not records:
         return wire.Lent()
     entries = {entry.id: entry for entry in asked.store.entries()}
@@ -139,25 +128,23 @@ def _claim(asked: Asked) -> wire.Lent:
 
 def _renew(asked: Asked) -> wire.Held:
     renewal: wire.Renewal = asked.body
-    worker = worker_of(asked.token, renewal.worker)
     if not renewal.keys:
         return wire.Held()
-    keys = asked.store.heartbeat(worker, lease_s=renewal.lease_s, keys=renewal.keys)
+    keys = asked.store.heartbeat(worker_of(asked), lease_s=renewal.lease_s, keys=renewal.keys)
     return wire.Held(keys=tuple(keys))
 
 
 def _show(asked: Asked) -> wire.Held:
     """Keep what is sent as it is: it is checked when the race is followed."""
     sent: wire.Showing = asked.body
-    worker = worker_of(asked.token, sent.worker)
-    asked.store.show(worker, [wire.progress_of(one) for one in sent.heats])
+    asked.store.show(worker_of(asked), [wire.progress_of(one) for one in sent.heats])
     return wire.Held(keys=tuple(one.key for one in sent.heats))
 
 
 def _complete(asked: Asked) -> Received:
     """Take in results of heats that this worker was lent last; others count as repeated."""
     sent: wire.Sent = asked.body
-    store, worker = asked.store, worker_of(asked.token, sent.worker)
+    store, worker = asked.store, worker_of(asked)
     names = names_of(store.entries())
     rules, outcomes, late = store.rulesets(), [], []
     for one in sent.heats:
@@ -172,15 +159,12 @@ def _complete(asked: Asked) -> Received:
         outcomes.append(wire.outcome_of(one, seeded, names))
     received = store.complete(worker, outcomes)
     store.audit((*received.accepted, *received.repeated), asked.access.audited)
-    return Received(
-        received.accepted, (*received.repeated, *late), received.quarantined, received.unverified
-    )
+    return received.joined(Received(repeated=tuple(late)))
 
 
 def _fail(asked: Asked) -> wire.State:
     failure: wire.Failure = asked.body
-    worker = worker_of(asked.token, failure.worker)
-    state = asked.store.fail(worker, failure.key, failure.traceback, lost=failure.lost)
+    state = asked.store.fail(worker_of(asked), failure.key, failure.traceback, lost=failure.lost)
     return wire.State(state=state)
 
 
@@ -247,9 +231,7 @@ def _entered(asked: Asked, _: Document) -> str:
         raise HTTPException(422, "There was no file: choose the one that `league pack` wrote.")
     name = text(asked.body, "name")
     offered = bool(text(asked.body, "download"))
-    entry = enter(
-        asked.store, asked.access, asked.token, asked.body["file"], name, download=offered
-    )
+    entry = enter(asked, asked.body["file"], name, download=offered)
     return f"/drivers/{entry.number}"
 
 
