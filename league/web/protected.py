@@ -21,7 +21,7 @@ from league.errors import DatabaseError, LeagueError, QuotaError, brief, first_p
 from league.matchmaking.documents import plain
 from league.matchmaking.store import Scope, Store, Token
 from league.web.reader import Document, Reader
-from league.web.security import Access, bearer, body_of, check_origin, client_of, drain
+from league.web.security import Access, bearer, body_of, check_origin, drain
 
 UPLOADS = 4
 """Uploads that are read and checked at the same time; each may take 16 MiB."""
@@ -92,7 +92,7 @@ class Protected:
         return Route(self.path, respond, methods=[self.method])
 
     def _authorised(self, store: Store, access: Access, request: Request) -> Token:
-        token = access.token(store, bearer(request), self.scope, client_of(request))
+        token = access.token(request, store, bearer(request), self.scope)
         is_work = self.scope == "worker"
         limit = access.limits.work if is_work else access.limits.submissions
         limit.charge(str(token.number) if is_work else token.owner)
@@ -197,8 +197,7 @@ class Form:
         self, reader: Reader, access: Access, request: Request, fields: Fields, document: Document
     ) -> str:
         """Do what a form asks for, if the token that it holds may do this now."""
-        secret = text(fields, "token")
-        token = access.token(reader.store, secret, "submit", client_of(request))
+        token = access.token(request, reader.store, text(fields, "token"), "submit")
         access.limits.submissions.charge(token.owner)
         with refusing():
             asked = Asked(reader.store, access, token, fields, request.path_params)

@@ -179,7 +179,7 @@ class Access:
         with self.slots.one(client, MOST_SLOW):
             return reader.large(key, made)
 
-    def token(self, store: Store, secret: str, scope: Scope, client: str) -> Token:
+    def token(self, request: Request, store: Store, secret: str, scope: Scope) -> Token:
         """Return the token with this secret, if it allows what is asked.
 
         Raises:
@@ -188,7 +188,7 @@ class Access:
         token = store.tokens.find(secret) if secret else None
         if token is not None and token.allows(scope):
             return token  # others behind the same address cannot lock it out
-        self.limits.refusals.charge(client)
+        self.limits.refusals.charge(client_of(request))
         if token is not None:
             raise HTTPException(
                 403, f"This token does not allow this: it needs the scope {scope}.", None
