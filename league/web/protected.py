@@ -136,10 +136,6 @@ def refusing() -> Generator[None]:
         raise HTTPException(422, f"{error}.") from error
 
 
-def _nothing(_: Reader) -> Document:
-    return {}
-
-
 @dataclass(frozen=True)
 class Form:
     """A page with a form: GET shows it, POST takes what was filled in."""
@@ -154,7 +150,7 @@ class Form:
     thread. Returns the address to go to."""
     kept: tuple[str, ...]
     """Fields that a refused form shows again; never the token."""
-    about: Callable[..., Document] = _nothing
+    about: Callable[..., Document] = lambda reader: {}
     """Returns what the page shows, from a Reader and the parameters of the path by their names."""
     most_file: int = 0
     """Bytes of the largest file."""
