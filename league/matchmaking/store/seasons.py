@@ -184,13 +184,11 @@ def _move(change: Change, season: int, moves: Sequence[Move]) -> int:
 
 def moves_of(connection: sa.Connection, season: int, entry: int | None = None) -> list[Move]:
     """Return the moves between divisions in a season, of one entry or all, the oldest first."""
-    query = sa.select(divisions).where(divisions.c.season == season)
+    query = sa.select(*(divisions.c[name] for name in Move._fields))
+    query = query.where(divisions.c.season == season).order_by(*divisions.primary_key)
     if entry is not None:
         query = query.where(divisions.c.entry == entry)
-    return [
-        Move(**{name: row[name] for name in Move._fields})
-        for row in connection.execute(query.order_by(*divisions.primary_key)).mappings()
-    ]
+    return [Move(*row) for row in connection.execute(query)]
 
 
 def ledger_records(connection: sa.Connection) -> Iterator[LedgerRecord]:
