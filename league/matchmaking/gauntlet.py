@@ -14,6 +14,7 @@ from league.matchmaking.loop import heat_driver
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.ratings import Ratings, Results, sprt
+from league.matchmaking.ratings.pair_counts import score
 from league.matchmaking.ratings.sprt import Comparison, SequentialSettings
 from league.matchmaking.ratings.table import SIGMAS_95
 from league.matchmaking.scope import RatingScope, scope
@@ -142,11 +143,11 @@ def race(
 
 def points_of(heat: HeatJob, outcome: HeatOutcome, id: str) -> list[float]:
     """Return the points of a contestant of a duel in each of its races: 1, 0.5 for a tie, or 0."""
-    points = []
+    places: list[tuple[int, int]] = []
     for half, result in zip(heat.halves, outcome.races, strict=True):
         slot = half.grid.index(id)
-        points.append(0.5 + 0.5 * float(np.sign(result.places[1 - slot] - result.places[slot])))
-    return points
+        places.append((result.places[slot], result.places[1 - slot]))
+    return score(*np.array(places).T).tolist()
 
 
 @dataclass(frozen=True)

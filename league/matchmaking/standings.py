@@ -13,6 +13,7 @@ from league.errors import StoreError, brief
 from league.matchmaking.ratings import Carried, RatingData, Ratings, Results, expected_score, fit
 from league.matchmaking.ratings import updated as updated_ratings
 from league.matchmaking.ratings.goodness_of_fit import Goodness, goodness_of_fit
+from league.matchmaking.ratings.pair_counts import score
 from league.matchmaking.ratings.table import Strengths
 from league.matchmaking.scope import RatingScope, Runs, scope
 from league.matchmaking.store import RATED, EntryState, LeagueEntry, Races, Season, Store
@@ -332,7 +333,7 @@ def own_races(races: Races, ratings: Strengths, number: int) -> OwnRaces:
         races=races,
         slot=slot,
         met=(races.entries >= 0) & ~mine,
-        points=(place < places) + 0.5 * (place == places),
+        points=score(place, places),
         strengths=ratings.elo[known] + ratings.slot_advantages[: mine.shape[1]],
     )
 

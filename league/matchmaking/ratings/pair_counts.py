@@ -172,7 +172,7 @@ class Slope:
 
 def score(places_one: np.ndarray, places_other: np.ndarray) -> np.ndarray:
     """Return the points of the one: 1, 0.5 for a tie, or 0."""
-    return 0.5 + 0.5 * np.sign(places_other - places_one)
+    return (places_one < places_other) + 0.5 * (places_one == places_other)
 
 
 def groups(one: np.ndarray, other: np.ndarray, size: int) -> np.ndarray:
