@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -293,6 +292,7 @@ def matchup(reader: Reader, one: int, other: int, before: str = "", season: str 
         scores = race_scores(both.own_races(one), both.tracks, other)
         record = standings.head_to_head(both, one, other)
     by_season = _by_season(reader, both, one, other, met) if both else {}
+    scored = [score for own in by_season.values() for score in own]
     records = [record for record in met if record.state in OVER]
     if end is not None:
         records = [record for record in records if record.number < end]
@@ -307,9 +307,7 @@ def matchup(reader: Reader, one: int, other: int, before: str = "", season: str 
         "record": record,
         "chart": charts.points_chart(scores) if len(scores) > 1 else None,
         "tracks": _points_by_track(scores),
-        "heats": _races_met(
-            reader, pair, records[-HEATS_MET:][::-1], [*itertools.chain(*by_season.values())]
-        ),
+        "heats": _races_met(reader, pair, records[-HEATS_MET:][::-1], scored),
         "records": [
             {
                 "season": seasons.get(number),
@@ -318,7 +316,7 @@ def matchup(reader: Reader, one: int, other: int, before: str = "", season: str 
             }
             for number, own in reversed(by_season.items())
         ],
-        "whole": _record([*itertools.chain(*by_season.values())]),
+        "whole": _record(scored),
         "chosen": chosen,
         "waiting": sum(record.state in WAITING for record in met),
         "older": records[-HEATS_MET].number if len(records) > HEATS_MET else None,
@@ -334,6 +332,7 @@ def _by_season(
     are their heats: under other rules than the present ones most have none.
     """
     now, hashes = reader.snapshot(), {record.heat.ruleset for record in met}
+    seasons = {season.number: season for season in now.seasons}
     found: dict[int | None, list[RaceScore]] = {}
     for hash, rules in now.rulesets.items():
         if hash not in hashes:
@@ -347,8 +346,7 @@ def _by_season(
         for season in now.seasons:
             within[season.has(races.heat)] = season.number
         for number in np.unique(within).tolist():
-            season = next((known for known in now.seasons if known.number == number), None)
-            document, ratings = frozen(reader, season) if season else None, both.ratings
+            document, ratings = frozen(reader, seasons[number]) if number else None, both.ratings
             if document is not None:
                 final = partial(final_ratings, document)
                 ratings = reader.kept(("ratings", number), final)
