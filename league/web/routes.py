@@ -56,7 +56,7 @@ class Page:
     @property
     def has_api(self) -> bool:
         """Whether its data is to be had as JSON."""
-        return not self.file and self.media_type == "text/html"
+        return self.answer is not None
 
     @property
     def api_path(self) -> str:
