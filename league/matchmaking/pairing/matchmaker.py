@@ -40,19 +40,17 @@ LEAST_ROUND = 8  # heats of a round at least; more workers than heats in two rou
 LOOK_BACK = 3000  # heats among which the latest round is looked for first
 
 
-def enter_anchors(store: Store, anchors: Sequence[str]) -> list[LeagueEntry]:
+def enter_anchors(store: Store, anchors: Sequence[str]) -> None:
     """Enter scripted drivers as a new league's anchors; the first one is pinned to 1000.
 
     They ship with the program, so they need no validation.
     """
-    entered = [
-        store.submit(name, "league", scripted=name, anchor=True, card={"name": name})
+    ids = [
+        store.submit(name, "league", scripted=name, anchor=True, card={"name": name}).id
         for name in anchors
     ]
-    ids = [entry.id for entry in entered]
     store.move(dict.fromkeys(ids, "validating"))
     store.move(dict.fromkeys(ids, "placement"))
-    return store.entries()
 
 
 def entries_with_reasons(store: Store) -> list[LeagueEntry]:
