@@ -33,7 +33,7 @@ NEXT: dict[EntryState, tuple[EntryState, ...]] = {
     "refused": (),
 }
 """States that may follow each state. `retired` and `refused` are final, except that a quarantined
-validation heat may be raced again (entries.reopen)."""
+validation heat may be raced again (QueueStore.retry)."""
 
 KNOWN, FINISHED, CLEAN, BEST_MS = 1 << 31, 1 << 30, 1 << 29, (1 << 29) - 1  # bits of Races.runs
 
