@@ -68,15 +68,11 @@ def next_moves(
     table = _Table(settings, fitted, safety, order)
     table.fill(current)
     for entry in current.keys() - table.division.keys():
-        table.reasons[entry] = "left"
-    changed = {
-        entry: table.division.get(entry, 0)
-        for entry in table.division.keys() | current.keys()
-        if table.division.get(entry, 0) != current.get(entry, 0)
-    }
+        table.division[entry], table.reasons[entry] = 0, "left"
     return [
         Move(round, entry, division, heat, table.reasons[entry])
-        for entry, division in sorted(changed.items())
+        for entry, division in sorted(table.division.items())
+        if division != current.get(entry, 0)
     ]
 
 
