@@ -283,7 +283,7 @@ class Squares:
         slots = results.entries.shape[1]
         size = len(at) - slots
         scores = race_scores(results, at[:size], at[size:])
-        starts = np.flatnonzero(np.diff(results.heats, prepend=results.heats[:1] - 1))
+        starts = changes(results.heats)
         by_slot = np.add.reduceat(scores, starts, axis=0) if len(starts) else scores
         # One row a heat; an entry that stands in it twice (once a race) is summed by the product.
         raced = results.entries >= 0

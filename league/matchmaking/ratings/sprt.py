@@ -152,12 +152,11 @@ def _interval(counts: np.ndarray) -> tuple[float, float, float]:
     heats = counts.sum()
     if heats == 0:
         return 0.5, 0.0, 1.0
-    values = np.linspace(0.0, 1.0, len(counts))
-    score = float(counts @ values / heats)
+    score = float(counts @ OUTCOMES / heats)
     # One imagined heat, half won and half lost, keeps few or equal heats from looking certain.
     padded = counts.copy()
     padded[[0, -1]] += 0.5
-    middle = float(padded @ values / padded.sum())
-    spread = float(padded @ (values - middle) ** 2 / padded.sum())
+    middle = float(padded @ OUTCOMES / padded.sum())
+    spread = float(padded @ (OUTCOMES - middle) ** 2 / padded.sum())
     half = SIGMAS_95 * math.sqrt(spread / padded.sum())
     return score, max(0.0, min(score, middle - half)), min(1.0, max(score, middle + half))
