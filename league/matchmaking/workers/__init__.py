@@ -223,7 +223,7 @@ class RayExecutor(SlotExecutor[_Actor]):
     Ray's usage reports, dashboard and retries are off: the queue decides what is tried again.
     """
 
-    def __init__(self, num_workers: int, *, job_limit_s: float = JOB_LIMIT_S) -> None:
+    def __init__(self, num_workers: int) -> None:
         self._ray = _ray()
         self._own = not self._ray.is_initialized()
         if self._own:
@@ -237,7 +237,7 @@ class RayExecutor(SlotExecutor[_Actor]):
             )
         self._kind = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(RaceWorker)
         slots = [_Actor("a Ray actor", actor=self._kind.remote()) for _ in range(num_workers)]
-        super().__init__(slots, job_limit_s)
+        super().__init__(slots, JOB_LIMIT_S)
 
     def close(self) -> None:
         """End the actors, and the cluster if it is our own."""
