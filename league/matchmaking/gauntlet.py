@@ -165,7 +165,7 @@ class GauntletResult:
     against: tuple[tuple[str, int, float], ...]  # name, races and points against each opponent
 
 
-def opponents(store: Store, *, most: int = 8) -> list[LeagueEntry]:
+def opponents(store: Store, *, most: int) -> list[LeagueEntry]:
     """Return opponents for a gauntlet: rated entries evenly spread over the table."""
     entries = {entry.number: entry for entry in store.entries(RATED)}
     try:
@@ -185,8 +185,8 @@ def gauntlet(
     newcomer: Checkpoint,
     field: Sequence[LeagueEntry],
     *,
-    rounds: int = 1,
-    watch: Callable[[HeatOutcome], bool] = lambda outcome: True,
+    rounds: int,
+    watch: Callable[[HeatOutcome], bool],
 ) -> GauntletResult:
     """Race a checkpoint against opponents without submitting it; the league keeps nothing of it."""
     rules, salt = store.settings.ruleset, secrets.token_bytes(16)

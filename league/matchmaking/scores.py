@@ -291,7 +291,7 @@ def trends(
     return dict(zip(data.entries[raced].tolist(), changed[raced].tolist(), strict=True))
 
 
-def own_history(rated: Standings, own: OwnRaces, *, points: int = 20) -> list[HistoryPoint]:
+def own_history(rated: Standings, own: OwnRaces, *, points: int) -> list[HistoryPoint]:
     """Return an entry's rating over its heats, all others rated as they are now.
 
     It takes milliseconds in a league of any size; `history` fits all ratings for each point.

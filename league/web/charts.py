@@ -220,7 +220,7 @@ def bar(row: Row, scale: tuple[float, float]) -> tuple[float, float, float]:
 
 
 def _axis(
-    values: np.ndarray, start: float, end: float, *, whole: bool = False
+    values: np.ndarray, start: float, end: float, *, whole: bool
 ) -> tuple[np.ndarray, tuple[Tick, ...]]:
     """Return where values lie on an axis from `start` to `end` in the picture, and its ticks.
 

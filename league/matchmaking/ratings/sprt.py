@@ -116,7 +116,7 @@ def ratio(counts: np.ndarray, settings: SequentialSettings) -> float:
     return float(seen @ (under[1] - under[0]))
 
 
-def heat_score(elo: float, slot_gap: float = 0.0) -> float:
+def heat_score(elo: float, slot_gap: float) -> float:
     """Return the mean score of a lead [Elo] over a heat with slots swapped half way."""
     sides = expected_score(np.array([elo + slot_gap, elo - slot_gap]))
     return float(np.mean(sides))
