@@ -106,18 +106,18 @@ def ghosts_data(laps: Sequence[Lap], track: Track) -> dict[str, object]:
     takes = [_crossed_s(lap, track.length) - begin for lap, begin in zip(laps, begins, strict=True)]
     frames = math.ceil(max(takes) * STEP_HZ) + 1
     times_s = np.arange(frames) / STEP_HZ
+    # Over the line a lap goes on at its speed, so that the gap is the difference of the times.
     distance = np.stack(
         [
-            np.where(times_s < take, np.interp(begin + times_s, lap.time_s, lap.place), np.inf)
+            np.where(
+                times_s < take,
+                np.interp(begin + times_s, lap.time_s, lap.place),
+                track.length + lap.speed[-1] * (times_s - take),
+            )
             for lap, begin, take in zip(laps, begins, takes, strict=True)
         ],
         axis=1,
     )
-    # Over the line a lap goes on at its speed, so that the gap is the difference of the times.
-    over = track.length + np.array([lap.speed[-1] for lap in laps]) * (
-        times_s[:, None] - np.array(takes)
-    )
-    distance = np.where(np.isfinite(distance), distance, over)
     gaps_s = seconds_behind(distance, times_s)
     cars: list[dict[str, object]] = []
     for car, (lap, begin, take) in enumerate(zip(laps, begins, takes, strict=True)):
