@@ -137,9 +137,7 @@ def document(
     track, cars, kind, owner = (text if text in found else "" for text, found, _ in known.values())
     rated = reader.standings_of(track, int(cars or 0))
     rows = rated.rows if rated else ()
-    rival = None
-    if against:
-        rival = _rival(rated, against) if rated else None
+    rival = _rival(rated, against) if rated and against else None
     if against and rival is None:
         names = sorted(row.name for row in rows)
         unknown.append(_unknown("driver", against, names, "drivers are"))
@@ -155,8 +153,8 @@ def document(
     lap_track = track or rules["tracks"][0]
     if sort:
         shown = sorted(shown, key=partial(ORDERS[sort], lap_track))
-    asked = {"owner": owner, "kind": kind, "track": track, "cars": cars, "against": against}
-    asked = {name: text for name, text in asked.items() if text}
+    filters = {"owner": owner, "kind": kind, "track": track, "cars": cars}
+    asked = {name: text for name, text in {**filters, "against": against}.items() if text}
     lines, paged = paging(
         len(shown), page, "standings", PATH, {**asked, "sort": sort} if sort else asked
     )
@@ -186,7 +184,7 @@ def document(
         "owners": [*_options(now.owners)],
         "kinds": now.kinds,
         "car_counts": now.car_counts,
-        **{"owner": owner, "kind": kind, "track": track, "cars": cars},
+        **filters,
     }
 
 
