@@ -96,8 +96,7 @@ def _speeds(reader: Reader, lap: BestLap | None) -> SpeedMap | None:
 def boards(reader: Reader, races: str = "") -> Document:
     """Return the boards of one kind of race; by default that of the present rules."""
     kinds = sorted({rules.kind for rules in reader.store.rulesets().values()})
-    asked = races or reader.store.settings.ruleset.kind
-    shown = cast(RaceKind, asked)
+    shown = cast(RaceKind, races or reader.store.settings.ruleset.kind)
     if shown not in kinds:
         raise NotFoundError(f"This league has races of the kinds {', '.join(kinds)}.")
     known = reader.snapshot().races
