@@ -246,16 +246,21 @@ def outcome_of(sent: SentHeat, record: HeatRecord, names: Mapping[str, str]) -> 
     A recording must be of this race, with the names of its entries (given by id), and the result
     must be what follows from it; results that contradict the heat, or each other, are a StoreError.
     """
-    halves, seeds = record.heat.halves, record.seeds or ()
+    halves = record.heat.halves
     if len(sent.races) != len(halves):
         raise StoreError(f"heat {record.number} has {len(halves)} races, {len(sent.races)} came")
     races = []
-    for race, half, seed in zip(sent.races, halves, seeds, strict=True):
+    for number, (race, half) in enumerate(zip(sent.races, halves, strict=True)):
         if not len(race.places) == len(race.result["order"]) == len(half.grid):
             raise StoreError(f"a race of heat {record.number} has {len(half.grid)} cars: send all")
         outcome = RaceOutcome(race.places, race.result, _decoded(race.replay) or None)
         if outcome.replay is not None:
-            _check_recording(outcome, half, seed, [names[id] for id in half.grid], record.number)
+            replay = recording_of(outcome.replay, record, number, names)
+            if race_outcome(replay, outcome.replay) != outcome:
+                raise StoreError(
+                    f"a result of heat {record.number} does not follow from its recording: "
+                    "send both"
+                )
         races.append(outcome)
     return HeatOutcome(sent.key, tuple(races), sent.machine)
 
@@ -281,26 +286,20 @@ def _decoded(replay: str) -> bytes:
         raise StoreError("a recording is no Base64: send it as the worker made it") from error
 
 
-def _check_recording(
-    outcome: RaceOutcome, half: Half, seed: int, names: list[str], number: int
-) -> None:
-    replay = recording_of(outcome.replay or b"", half, seed, names, number)
-    if race_outcome(replay, outcome.replay) != outcome:
-        raise StoreError(f"a result of heat {number} does not follow from its recording: send both")
+def recording_of(content: bytes, record: HeatRecord, race: int, names: Mapping[str, str]) -> Replay:
+    """Return the recording that a stranger's worker sent of a race (from 0) of a heat with seeds.
 
-
-def recording_of(content: bytes, half: Half, seed: int, names: list[str], number: int) -> Replay:
-    """Return the recording that a stranger's worker sent of a race of a heat, by its number.
-
-    One that is broken, or of another race than this one with these names, is a StoreError.
+    One that is broken, or of another race than this one of the entries with these names (given by
+    id), is a StoreError.
     """
     from league.replay import format as replay_format
 
     try:
         replay = replay_format.decode(content)
     except LeagueError as error:
-        raise StoreError(f"a recording of heat {number} {error}") from error
-    spec = replay.result.spec
-    if (spec.track, spec.seed, [one.name for one in spec.entries]) != (half.track, seed, names):
-        raise StoreError(f"a recording of heat {number} is of another race: send its own")
+        raise StoreError(f"a recording of heat {record.number} {error}") from error
+    half, spec = record.heat.halves[race], replay.result.spec
+    own = half.track, (record.seeds or ())[race], [names[id] for id in half.grid]
+    if (spec.track, spec.seed, [one.name for one in spec.entries]) != own:
+        raise StoreError(f"a recording of heat {record.number} is of another race: send its own")
     return replay

@@ -9,6 +9,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Generator, Hashable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from statistics import median
 from typing import Any, TypeVar
 from urllib.parse import urlencode
@@ -348,10 +349,9 @@ class Reader:
         content = self.store.shown(record.number, race) if record.state == "claimed" else None
         if content is None:
             return None
-        half, seed = record.heat.halves[race], self.store.seeds(record.heat)[race]
-        names = [self.names[id] for id in half.grid]
+        seeded = replace(record, seeds=self.store.seeds(record.heat))
         try:
-            return recording_of(content, half, seed, names, record.number)
+            return recording_of(content, seeded, race, self.names)
         except StoreError:
             return None
 
