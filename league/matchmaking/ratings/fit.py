@@ -262,14 +262,12 @@ def _ratings(
     entries, races, size = data.entries, data.races, len(data.entries)
     elo = _elo(data, posterior, anchor)
     sd = elo_sd = ELO * np.sqrt(variances.strengths)
-    if anchor is not None:  # what is published is the lead over the anchor
-        elo_sd = ELO * np.sqrt(variances.against(int(np.searchsorted(entries, anchor))))
     pairs, points = data.counts.points()
     group = pair_counts.groups(data.counts.one, data.counts.other, size)
-    if anchor is not None:
-        home = group[np.searchsorted(entries, anchor)]
-    else:
-        home = np.bincount(group, races).argmax()
+    home = np.bincount(group, races).argmax()
+    if anchor is not None:  # what is published is the lead over the anchor
+        at = int(np.searchsorted(entries, anchor))
+        home, elo_sd = group[at], ELO * np.sqrt(variances.against(at))
     connected = (group == home) & ((races > 0) | (size == 1))
     return Ratings(
         entries=entries,
