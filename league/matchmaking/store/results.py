@@ -165,12 +165,7 @@ def _judge(
     _check_places(row, sent)
     target = row.audits or row.number
     known, hashes = intake.known[target], {(half, one.hash) for half, one in enumerate(sent)}
-    if (
-        not row.audits
-        and target not in intake.settled
-        and hashes
-        and hashes <= intake.before[target]
-    ):
+    if not row.audits and target not in intake.settled and hashes <= intake.before[target]:
         if row.state == "claimed" and row.worker == worker:  # the third opinion on a dispute
             intake.settled[target] = intake.known[target] = hashes
             intake.new_races += race_rows(intake.tracks, row, sent)
