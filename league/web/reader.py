@@ -314,7 +314,7 @@ class Reader:
         """Return a heat by its number."""
         try:
             return self.store.heat(number)
-        except (StoreError, OverflowError):
+        except StoreError:
             raise NotFoundError(f"This league has no heat {number}.") from None
 
     def newest(self, number: int) -> list[HeatRecord]:
