@@ -64,7 +64,7 @@ def next_moves(
     `members` have divisions: entries in a rated state, no anchors. `heat` is the newest one
     that counted.
     """
-    order = [int(n) for n in fitted.entries[fitted.order()] if int(n) in members]
+    order = [entry for entry in fitted.entries[fitted.order()].tolist() if entry in members]
     table = _Table(settings, fitted, safety, order)
     table.fill(current)
     for entry in current.keys() - table.division.keys():

@@ -112,7 +112,7 @@ def next_heats(
         grids.note(grid)
         second_too = len(rules.tracks) >= OTHER_TRACK_FROM
         tracks = generator.choice(rules.tracks, size=1 + second_too, replace=False)
-        entries = tuple(int(grids.entries[index]) for index in grid)
+        entries = tuple(grids.entries[grid].tolist())
         plans.append(HeatPlan(lane, entries, (str(tracks[0]), str(tracks[-1]))))
     return plans
 
@@ -192,7 +192,7 @@ class _Grids:
             if not free.any():
                 break
             chosen.append(int(self.generator.choice(np.flatnonzero(free))))
-        return [int(index) for index in self.generator.permutation(chosen)]
+        return self.generator.permutation(chosen).tolist()
 
     def grid(self, lane: Lane, anchored: bool) -> list[int] | None:
         """Return a field in grid order, or None if the first entry may meet no other."""
@@ -219,7 +219,7 @@ class _Grids:
                 chosen.append(int(candidates[gaps.argmin()]))
         if len(chosen) < 2:
             return None
-        return [int(index) for index in self.generator.permutation(chosen)]
+        return self.generator.permutation(chosen).tolist()
 
     def note(self, grid: list[int]) -> None:
         """Count a planned heat."""
