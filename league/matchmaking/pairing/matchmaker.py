@@ -235,7 +235,7 @@ class Matchmaker:
         moves = divisions.next_moves(
             divisions.assigned(self._store.division_moves(season.number)),
             roster.fitted,
-            [one.entry for one in roster.contenders if one.state in RATED and not one.anchor],
+            {one.entry for one in roster.contenders if one.state in RATED and not one.anchor},
             safety.of(self._store, season.ruleset, before=past.before),
             SeasonSettings.of(season),
             round=round,
