@@ -269,14 +269,12 @@ def compare(
     rules, salt = store.settings.ruleset, secrets.token_bytes(16)
     heats = [duel(rules, one, other, draw, salt) for draw in range(most_heats)]
     scores: list[float] = []
-    comparison = sprt.compare(np.array(scores), settings)
 
     def judge(outcome: HeatOutcome) -> bool:
-        nonlocal comparison
         scores.append(float(np.mean(points_of(heats[len(scores)], outcome, other.id))))
         comparison = sprt.compare(np.array(scores), settings)
         watch(comparison)
         return comparison.decision == "undecided"
 
     race(executor, heats, watch=judge)
-    return comparison
+    return sprt.compare(np.array(scores), settings)
