@@ -53,7 +53,7 @@ class ShowTrack:
         one = lazy.files.report(track)
         print(
             f"{one['title']}: {one['length']:.2f} m, {one['width']:.3f} m wide, "
-            f"{one['direction']}, smallest radius {one['min_radius']:.2f} m"
+            f"{one['direction']}, {track.bends}"
         )
         print(f"Drawn to {path}")
 

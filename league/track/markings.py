@@ -262,9 +262,8 @@ def poster(track: Track) -> np.ndarray:
     edge = max(4, round(0.04 / pixel))
     height, width = (size + 2 * edge for size in plan.picture.shape[:2])
     plan = plan.framed(width, height, track.colours.wall)
-    radius = f"smallest radius {track.min_radius:.2f} m" if track.min_radius < 1000 else "straight"
     size = f"{track.length:.2f} m long   {track.width:.3f} m wide"
-    about = f"{size}   {track.direction}   {radius}"
+    about = f"{size}   {track.direction}   {track.bends}"
     # Right of the text there is room for the north arrow.
     text = max(_text_width(track.title, 46, bold=True), _text_width(about, 26)) + 80
     wide = max(width, min(text, 4 * _POSTER[0]), 900 - 2 * _FRAME) + 2 * _FRAME

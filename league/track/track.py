@@ -101,6 +101,11 @@ class Track:
         """Smallest radius of the centreline [m], smoothed over 0.3 m."""
         return float(1.0 / max(np.abs(self.curvature).max(), 1e-9))
 
+    @property
+    def bends(self) -> str:
+        """The smallest radius in words, or "straight"."""
+        return f"smallest radius {self.min_radius:.2f} m" if self.min_radius < 1000 else "straight"
+
     @cached_property
     def num_corners(self) -> int:
         """Number of stretches that bend to one side and turn enough; over the start line, one."""

@@ -71,6 +71,7 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
         "league_name": store.settings.name,
         "static": lambda name: Markup(_static_bytes(name).decode()),
         "exported": exported,
+        "has_api": False,  # unless a page says so
         "enough_corners": safety.ENOUGH_CORNERS,
         "bar": charts.bar,
     }
@@ -98,7 +99,7 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
 
     def page(one: Page) -> Callable[..., Any]:
         def shown(request: Request, document: Document) -> Response:
-            response = render(one.template, request, **document)
+            response = render(one.template, request, has_api=one.has_api, **document)
             response.headers["Content-Type"] = f"{one.media_type}; charset=utf-8"
             if one.file:
                 name = one.file.format(**request.path_params)

@@ -358,6 +358,8 @@ def test_a_report_tells_the_figures_of_a_track():
         "points": 354,
     }
     assert files.report(shapes.straight())["min_radius"] == float("inf")
+    assert shapes.straight().bends == "straight"
+    assert files.load("reinvent_2018").bends == "smallest radius 0.77 m"
 
 
 def test_the_list_of_tracks_for_people_is_up_to_date():
