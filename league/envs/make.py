@@ -103,7 +103,7 @@ def configure(
     check_options(options, configure)
     if num_cars is None:
         num_cars = 2 if kind == "head_to_head" else 1
-    base, max_steps = options.get("sim") or SimConfig(), options.get("max_steps")
+    base, max_steps = world(options.get("sim")), options.get("max_steps")
     obstacles = options.get("obstacles")
     if obstacles is None:
         obstacles = base.obstacles
@@ -129,6 +129,15 @@ def configure(
     if remark := remark_on(kind, cfg.sim.num_obstacles, num_cars):
         warnings.warn(remark, stacklevel=3)
     return cfg
+
+
+def world(sim: SimConfig | None) -> SimConfig:
+    """Return the settings of the world that an adapter was given, or the usual ones."""
+    if sim is None:
+        return SimConfig()
+    if not isinstance(sim, SimConfig):
+        raise ConfigError(f"sim is {brief(sim)}: give a SimConfig or None")
+    return sim
 
 
 def check_options(options: Iterable[str], function: Callable[..., object]) -> None:
@@ -218,5 +227,5 @@ def _no_sensor(value: object) -> str:
 
 def check_whole(what: str, value: object, least: int) -> None:
     """Check an argument that is a count; ConfigError if it is no whole number, or too small."""
-    if not isinstance(value, int) or isinstance(value, bool) or value < least:
+    if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
         raise ConfigError(f"{what} is {brief(value)}: give a whole number, {least} or more")

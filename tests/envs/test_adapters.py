@@ -55,6 +55,40 @@ def test_a_wrong_keyword_is_refused_with_the_nearest(make_env, name, names):
         make_env(**track, **{name: 3})
 
 
+@pytest.mark.parametrize("make_env", [parallel_env, GymEnv, GymVectorEnv, RacingVecEnv])
+def test_settings_of_the_world_that_are_none_are_refused(make_env):
+    with pytest.raises(ConfigError, match="sim is 5: give a SimConfig or None"):
+        make_env(track="reinvent_2018", sim=5)
+
+
+@pytest.mark.parametrize(
+    ("make_env", "settings", "sentence"),
+    [
+        (parallel_env, {"max_cycles": 0}, "max_cycles is 0: give a whole number, 1 or more"),
+        (GymEnv, {"car": "1"}, "car is '1': give a whole number"),
+        (GymEnv, {"car": 0.0}, "car is 0.0: give a whole number"),
+        (GymEnv, {"car": 1}, "car is 1: the field has 1 cars"),
+        (GymEnv, {"opponents": 5}, "opponents is 5: give a list of drivers"),
+        (GymVectorEnv, {"max_episode_steps": 1.5}, "max_episode_steps is 1.5: give a whole"),
+        (RacingVecEnv, {"num_worlds": "3"}, "num_worlds is '3': give a whole number, 1 or more"),
+        (RacingVecEnv, {"num_worlds": 2.0}, "num_worlds is 2.0: give a whole number, 1 or more"),
+        (RacingVecEnv, {"seed": "x"}, "seed is 'x': give a whole number, 0 or more"),
+        (RacingVecEnv, {"seed": -1}, "seed is -1: give a whole number, 0 or more"),
+        (RacingVecEnv, {"learners": 0}, "learners is 0: give the cars that learn"),
+        (RacingVecEnv, {"action_space": 5}, "action_space is 5: give ContinuousActions"),
+        (RacingVecEnv, {"device": "gpu7"}, "device is 'gpu7': give cpu or cuda"),
+    ],
+)
+def test_a_setting_of_a_wrong_type_is_refused_with_a_sentence(make_env, settings, sentence):
+    with pytest.raises(ConfigError, match=sentence):
+        make_env(track="reinvent_2018", sensors=(), **settings)
+
+
+def test_numpys_whole_numbers_are_counts():
+    env = GymVectorEnv(np.int64(2), sensors=(), max_steps=np.int32(30))
+    assert len(env.reset(seed=np.int64(1))[0]["motion"]) == 2
+
+
 def first_reward(kind, reward):
     """Return the reward of the first step in one of the adapters."""
     options = {"reward": reward, "sensors": ()}

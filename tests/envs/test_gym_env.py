@@ -238,6 +238,23 @@ def test_wrong_words_bring_one_sentence(door, settings, error, sentence):
     assert "\n" not in str(told.value)
 
 
+@pytest.mark.parametrize("seed", [1.5, np.float64(2), "abc", object(), -1, [1, "x"]])
+def test_a_batch_refuses_a_seed_that_is_none(seed):
+    batch = GymVectorEnv(2, sensors=())
+    with pytest.raises(ConfigError, match=r"seed is .*: give a whole number, 0 or more, or None"):
+        batch.reset(seed=seed)
+
+
+@pytest.mark.parametrize("mask", [np.ones(3, bool), np.array([1, 0]), [True, False], "x"])
+def test_a_batch_refuses_a_mask_that_is_none(mask):
+    batch = GymVectorEnv(2, sensors=(), autoreset_mode="Disabled")
+    with pytest.raises(ConfigError, match="a reset_mask was given to the first reset"):
+        batch.reset(options={"reset_mask": np.ones(2, bool)})
+    batch.reset(seed=1)
+    with pytest.raises(ConfigError, match=r"reset_mask is .*: give a NumPy array of 2 bools"):
+        batch.reset(options={"reset_mask": mask})
+
+
 def test_a_batch_refuses_what_is_no_batch():
     with pytest.raises(ConfigError, match="num_envs is 0"):
         GymVectorEnv(0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from league.errors import ConfigError, brief
@@ -20,6 +20,10 @@ def load_drivers(
     drivers: Sequence[Driver | str], tracks: TrackSet, car: CarConfig
 ) -> tuple[Driver, ...]:
     """Return drivers, those given by name loaded; PolicyError or ConfigError if there is none."""
+    if not isinstance(drivers, Iterable):
+        raise ConfigError(
+            f"opponents is {brief(drivers)}: give a list of drivers, or of their names"
+        )
     loaded = []
     for driver in (drivers,) if isinstance(drivers, str) else drivers:
         if isinstance(driver, str):

@@ -1,7 +1,7 @@
 """Races with one learner for Gymnasium, the other cars driven by given drivers: Env, VectorEnv."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Unpack
 
 import gymnasium
@@ -17,8 +17,8 @@ from league.envs.adapters.rendering import EnvRenderer
 from league.envs.driver import Driver, Opponents
 from league.envs.make import EnvOptions
 from league.envs.race_env import RaceEnv, Step
-from league.errors import ActionError, ConfigError
-from league.sim.config import RaceKind, SensorConfig, SimConfig
+from league.errors import ActionError, ConfigError, brief
+from league.sim.config import RaceKind, SensorConfig
 from league.track.track import Track, TrackSet
 
 Observation = dict[str, np.ndarray]
@@ -46,14 +46,15 @@ class LearnerEnv:
         if opponents is None:
             opponents = DEFAULT_OPPONENTS if racing else ()
         options.setdefault("mode", "training")
-        sim = options.get("sim")
-        drivers = load_drivers(opponents, tracks, (sim or SimConfig()).car) if opponents else ()
+        sim = make.world(options.get("sim"))
+        drivers = load_drivers(opponents, tracks, sim.car) if opponents else ()
         if drivers and kind == "time_trial":
             raise ConfigError(
                 f"{len(drivers)} opponents are given for a time_trial race, which is driven alone: "
                 "give none, or choose head_to_head"
             )
-        if not 0 <= car <= len(drivers):
+        make.check_whole("car", car, 0)
+        if car > len(drivers):
             raise ConfigError(f"car is {car}: the field has {len(drivers) + 1} cars, from 0")
         others = [slot for slot in range(len(drivers) + 1) if slot != car]
         carried: dict[int, SensorConfig] = {
@@ -117,7 +118,7 @@ class Seeds:
         """
         if seed is None and self._generators:
             return self.draw(np.ones(self._num_envs, bool))
-        if seed is None or isinstance(seed, int | np.integer):
+        if seed is None or isinstance(seed, str) or not isinstance(seed, Iterable):
             first = None if seed is None else make.checked_seed(seed)
             seeds = [None if first is None else first + race for race in range(self._num_envs)]
         else:
@@ -260,6 +261,7 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
             )
         make.check_options(options, GymVectorEnv.__init__)
         if max_episode_steps is not None:
+            make.check_whole("max_episode_steps", max_episode_steps, 1)
             options.setdefault("max_steps", max_episode_steps)
         self.learner = LearnerEnv(
             track, kind, sensors, num_worlds=num_envs, car=car, opponents=opponents, **options
@@ -296,11 +298,23 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
             groups = self.learner.reset(self._seeds.restart(seed))
             self._done[:] = False
             return self._reader.read(groups), self._info(None)
+        mask = self._checked_mask(mask)
         seeds = self._seeds.draw(mask) if seed is None else self._seeds.restart(seed)
         self.learner.restart(mask, seeds)
         self._done &= ~mask
         groups = self.learner.env.observations[self.learner.car]
         return self._reader.read(groups), self._info(None)
+
+    def _checked_mask(self, mask: object) -> np.ndarray:
+        if not self._seeds.begun:
+            raise ConfigError("a reset_mask was given to the first reset: omit it there")
+        shape = (self.num_envs,)
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != shape:
+            raise ConfigError(
+                f"reset_mask is {brief(mask)}: give a NumPy array of {self.num_envs} bools, "
+                "one for each race"
+            )
+        return mask
 
     def step(
         self, actions: np.ndarray

@@ -53,6 +53,7 @@ def parallel_env(
     make.check_options(options, parallel_env)
     options.setdefault("solver", "bullet")
     if max_cycles is not None:
+        make.check_whole("max_cycles", max_cycles, 1)
         if options.get("max_steps") not in (None, max_cycles):
             raise ConfigError(
                 f"max_cycles is {max_cycles} and max_steps {options.get('max_steps')}, but both "

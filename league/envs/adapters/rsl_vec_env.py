@@ -33,6 +33,13 @@ def casts_rays(device: torch.device) -> bool:
     return device.type == "cuda" and find_spec("numba_cuda") is not None
 
 
+def _device(name: str) -> torch.device:
+    try:
+        return torch.device(name)
+    except (RuntimeError, TypeError) as error:
+        raise ConfigError(f"device is {brief(name)}: give cpu or cuda") from error
+
+
 class RacingVecEnv(VecEnv):
     """Many worlds, in each some cars that learn and some that drivers drive.
 
@@ -88,6 +95,15 @@ class RacingVecEnv(VecEnv):
             RewardError: a reward file that cannot be used.
         """
         make.check_options(options, RacingVecEnv.__init__)
+        make.check_whole("num_worlds", num_worlds, 1)
+        make.check_whole("seed", seed, 0)
+        if isinstance(learners, str) or not isinstance(learners, Sequence):
+            raise ConfigError(f"learners is {brief(learners)}: give the cars that learn, as (0,)")
+        if not isinstance(action_space, ActionSpace | None):
+            raise ConfigError(
+                f"action_space is {brief(action_space)}: give ContinuousActions, DiscreteActions, "
+                "or None"
+            )
         tracks, reward = make.course(track), options.get("reward")
         if cfg is None:
             if opponents is None and kind == "head_to_head":
@@ -117,7 +133,7 @@ class RacingVecEnv(VecEnv):
             for car in range(cfg.sim.num_cars)
         ]
         self.cfg: EnvConfig = replace(cfg, sensors=tuple(carried))  # type: ignore
-        self.device = torch.device(device)
+        self.device = _device(device)
         self._gpu_camera, renderers = None, None
         camera = self.cfg.sensors_of(self.learners[0]).camera
         if camera is not None and casts_rays(self.device):
