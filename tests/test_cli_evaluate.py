@@ -37,6 +37,12 @@ def test_several_tracks_are_several_tables(league):
     assert [one["track"] for one in json.loads(out)] == ["reinvent_2018", "peanut"]
 
 
+def test_an_unknown_track_is_named_before_any_is_driven(league):
+    code, out, err = league("evaluate", "centerline", *QUICK, "--track", "peanut", "nowhere")
+    assert (code, out) == (2, "")
+    assert "there is no track 'nowhere'" in err
+
+
 def test_json_holds_trials_and_summary(league):
     code, out, err = league("evaluate", "centerline", *QUICK, "--trials", "2", "--json")
     told = json.loads(out)

@@ -93,7 +93,7 @@ class Evaluate:
 
 
 def _check(command: Evaluate) -> None:
-    """Refuse flags that contradict each other before anything is driven."""
+    """Refuse flags that contradict each other, and unknown tracks, before anything is driven."""
     tracks, trace, replay = command.track, command.trace, command.replay
     several = len(tracks) > 1
     for contradicts, sentence in (
@@ -124,6 +124,8 @@ def _check(command: Evaluate) -> None:
     ):
         if contradicts:
             raise ConfigError(sentence)
+    for track in tracks if several else ():
+        lazy.files.load(track)
     print_remark(_kind(command), num_obstacles(command), 1)
 
 
