@@ -9,7 +9,7 @@ from fsspec.implementations.memory import MemoryFileSystem
 
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.store import blobs
+from league.matchmaking.store import blobs, store
 from league.matchmaking.store.blobs import FolderBlobs
 from tests.matchmaking import leagues
 
@@ -94,6 +94,14 @@ def test_a_bucket_that_cannot_be_reached_is_named(monkeypatch):
         kept.put(b"weights")
     with pytest.raises(StoreError, match=r"be read from memory://far \(No route to host\)"):
         kept.get("0" * 64)
+
+
+def test_a_directory_that_cannot_be_made_is_refused_before_there_is_a_league(tmp_path):
+    (tmp_path / "a").write_text("a file")
+    url, folder = f"sqlite:///{tmp_path}/league.db", tmp_path / "a" / "files"
+    with pytest.raises(StoreError, match=r"files' cannot be used .*: give a directory that can be"):
+        store.create(url, blobs=str(folder)).close()
+    assert not (tmp_path / "league.db").exists()
 
 
 def test_an_unknown_kind_of_bucket_is_refused():

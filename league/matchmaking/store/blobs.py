@@ -5,6 +5,8 @@ swapped file is noticed.
 """
 
 from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryFile
 
 import sqlalchemy as sa
 
@@ -60,7 +62,7 @@ class FolderBlobs:
     """Blobs in a directory, or in a bucket that fsspec can reach (s3://, gs://, memory://)."""
 
     def __init__(self, url: str) -> None:
-        """Choose the place; it is made when the first blob comes."""
+        """Choose the place; it is made by `check`, or when the first blob comes."""
         import fsspec
 
         try:
@@ -71,6 +73,16 @@ class FolderBlobs:
                 "give a directory, or install the fsspec package for that kind of bucket"
             ) from refusal
         self._url = url
+
+    def check(self) -> None:
+        """Make the directory, if it is no bucket; StoreError if it cannot be made or written."""
+        if "file" not in self._files.protocol:
+            return
+        failure = f"the place for files {self._url!r} cannot be used"
+        with explaining(failure, StoreError, "give a directory that can be written"):
+            Path(self._root).mkdir(parents=True, exist_ok=True)
+            with TemporaryFile(dir=self._root):
+                pass
 
     def put(self, content: bytes) -> str:
         """Keep some bytes and return their SHA-256."""

@@ -291,7 +291,7 @@ def create(
     database itself. For `url` and `clock` see Store.
     """
     if blobs:
-        FolderBlobs(blobs)
+        FolderBlobs(blobs).check()
     with closing(Database(url, clock)) as database:
         founding.create_tables(database, name, ruleset or Ruleset(), blobs)
     return Store(url, clock=clock)
