@@ -199,6 +199,12 @@ def test_a_car_that_was_put_back_is_never_drawn_between():
     assert made.at(np.array([1.0 / 15])).cars["x"][0, 0].item() == 1.0
 
 
+def test_a_time_that_is_no_number_is_refused():
+    made = by_hand(2, lambda w, n: moved(w, x=[float(n), 0.0]))
+    with pytest.raises(ReplayError, match="a time is NaN: give seconds"):
+        made.at(np.array([0.0, np.nan]))
+
+
 def test_times_outside_the_race_are_its_ends():
     made = by_hand(3, lambda w, n: moved(w, x=[0.1 * n, 0.0]))
     x = made.at(np.array([-5.0, 99.0])).cars["x"][:, 0]

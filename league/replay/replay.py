@@ -209,9 +209,12 @@ class Replay:
         """Return the race at times [s], (num_worlds,) and held within it, as a batch of worlds.
 
         Between two frames, poses are interpolated; counts come from the earlier frame. Fields that
-        a replay does not keep are zero.
+        a replay does not keep are zero. ReplayError: a time is NaN.
         """
-        place = np.clip(np.asarray(times_s) * self.step_hz, 0, self.num_frames - 1)
+        times_s = np.asarray(times_s)
+        if np.isnan(times_s).any():
+            raise ReplayError("a time is NaN: give seconds since the start of the race")
+        place = np.clip(times_s * self.step_hz, 0, self.num_frames - 1)
         # A time that is a frame up to rounding is that frame.
         near = np.rint(place)
         place = np.where(np.abs(place - near) < 1e-6, near, place)
