@@ -132,6 +132,11 @@ def checked(settings: Mapping[str, Any]) -> RaceSpec:
         )
     if first["loc"] == ("entries",) and isinstance(first["input"], (list, tuple)):
         raise ConfigError(f"{len(first['input'])} drivers were named: give 1 to 8")
+    if first["loc"][:1] == ("entries",) and first["loc"][-1] == "name":
+        raise ConfigError(
+            f"a driver's name is {brief(first['input'])}: give 1 to 200 printable characters on "
+            "one line"
+        )
     raise ConfigError(f"{where} is {brief(first['input'])}: {_wanted(where) or reason}")
 
 

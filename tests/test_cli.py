@@ -406,6 +406,15 @@ def test_replays_are_listed_and_the_unreadable_named(league, tmp_path):
     assert "centerline 0:" in out
     assert name in "".join(out.split())
     assert json.loads(league("replays", "--json")[1])[0]["file"] == f"replays/{name}"
+    code, _, err = league("replays", f"replays/{name}")
+    assert code == 2 and is_one_sentence(err) and "is a file: give a folder" in err
+
+
+def test_a_driver_without_a_name_is_refused_in_the_words_of_the_command(league):
+    for name in ("", "a\nb"):
+        code, _, err = league("race", name)
+        assert code == 2 and is_one_sentence(err)
+        assert f"a driver's name is {name!r}: give 1 to 200 printable characters" in err
 
 
 def test_hint_quotes_the_name_of_a_file(league):

@@ -445,6 +445,6 @@ def test_equal_times_are_told_apart_by_mistakes_then_by_the_grid():
 
 @pytest.mark.parametrize("name", ["\x1b[31mred", "two\nlines", "\u202eesrever", "\x9b1m"])
 def test_a_name_that_would_act_on_a_terminal_is_refused(name):
-    with pytest.raises(ConfigError, match=r"entries\.0\.name is .*: it holds characters"):
+    with pytest.raises(ConfigError, match=r"a driver's name is .*: give .* printable characters"):
         checked({"entries": [{"name": name}]})
     assert checked({"entries": [{"name": "Zoë [/x]"}]}).entries[0].name == "Zoë [/x]"

@@ -402,6 +402,8 @@ class Verify:
 
 def _recordings(folder: Path) -> list[Path]:
     """Return the replays of a folder, of which there must be some, the newest last."""
+    if folder.is_file():
+        raise ReplayError(f"{folder} is a file: give a folder, or say `league view {folder}`")
     paths = sorted(folder.glob("*.race"), key=lambda path: path.stat().st_mtime)
     if not paths:
         raise ReplayError(

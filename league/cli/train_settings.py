@@ -127,8 +127,13 @@ def _check(cfg: RunConfig) -> None:
 
 
 def parent_path(name: str) -> str:
-    """Return the checkpoint to begin from; a policy of the garage may be given by its name."""
-    return str(roster.garage().get(name, name))
+    """Return the checkpoint to begin from; a policy of the garage may be given by its name.
+
+    PolicyError: it is neither a file nor such a name.
+    """
+    if not name or (name not in roster.garage() and Path(name).exists()):
+        return name
+    return roster.checkpoint_path(name)
 
 
 def _save_every(train: TrainConfig) -> int:

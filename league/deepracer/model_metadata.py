@@ -248,7 +248,9 @@ def load_json(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
     except FileNotFoundError:
         raise ConfigError(f"there is no file {path}: give the path of a {kind}") from None
     except OSError as error:
-        raise ConfigError(f"{path} cannot be read: {error.strerror}") from None
+        raise ConfigError(
+            f"{path} cannot be read ({error.strerror}): give the path of a {kind}"
+        ) from None
     except (ValueError, RecursionError) as error:
         message = str(error).splitlines()[0]
         raise ConfigError(f"{path} is no JSON ({message}): give a {kind}") from None

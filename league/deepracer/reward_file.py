@@ -215,7 +215,9 @@ def _text(path: Path) -> tuple[bytes, str]:
     except (UnicodeDecodeError, SyntaxError) as error:
         raise RewardError(f"{path} is not UTF-8 text: give a Python file") from error
     except OSError as error:
-        raise RewardError(f"{path} cannot be read: {error.strerror}") from error
+        raise RewardError(
+            f"{path} cannot be read ({error.strerror}): give the path of a Python file"
+        ) from error
     if endless or len(text) > MAX_CHARACTERS:
         count = "more than 500,000" if endless else f"{len(text):,}"
         raise RewardError(
