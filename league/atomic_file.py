@@ -1,5 +1,6 @@
 """Files: written so that they appear whole or not at all, and read up to a limit."""
 
+import errno
 import os
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
@@ -26,6 +27,8 @@ def replacing(
     failure = f"{what} cannot be written to {path}"
     try:
         with explaining(failure, error, "give a place that can be written and has room", *also):
+            if path.exists() and not (path.is_file() or path.is_dir()):
+                raise OSError(errno.ENOTSUP, "it is no plain file")  # a device would be lost
             path.parent.mkdir(parents=True, exist_ok=True)
             temporary.touch(exist_ok=False)
             yield temporary

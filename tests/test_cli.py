@@ -395,6 +395,19 @@ def test_race_of_sixty_columns_is_whole(league, monkeypatch):
     assert max(map(len, out.splitlines())) <= 60
 
 
+def test_a_closed_output_is_no_error():
+    command = f"{sys.executable} -m league.cli tracks >&-"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_pipe_or_device_keeps_its_name(league, tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    code, _, err = league("tracks", "show", "peanut", "--out", "pipe")
+    assert code == 2 and is_one_sentence(err) and "pipe (it is no plain file): give" in err
+    assert (tmp_path / "pipe").is_fifo()
+
+
 def test_replays_are_listed_and_the_unreadable_named(league, tmp_path):
     code, _, err = league("replays")
     assert code == 2 and is_one_sentence(err) and "race first" in err

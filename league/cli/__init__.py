@@ -24,7 +24,8 @@ def _answer(arguments: list[str]) -> int:
 
             return commands.main(arguments)
         finally:
-            sys.stdout.flush()  # a full disk shows here, and not as Python ends
+            if sys.stdout:  # None where it was closed before the start
+                sys.stdout.flush()  # a full disk shows here, and not as Python ends
     except LeagueError as error:
         print(f"league: {error}", file=sys.stderr)
         return 2
