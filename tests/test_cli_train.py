@@ -249,6 +249,12 @@ def test_last_line_after_a_run_without_a_complete_lap_says_how_to_go_on(league):
     assert "league race" not in out
 
 
+def test_what_it_says_is_more_than_a_whole_update_has_driven(league):
+    code, out, _ = league("train", *TINY, "--steps", "10", "--out", "a.pt")
+    assert code == 0 and "32 decisions in" in out
+    assert out.splitlines()[-1].endswith("league train --resume --out a.pt --steps 64")
+
+
 @pytest.mark.parametrize(
     ("flags", "said"),
     [

@@ -268,7 +268,8 @@ def _next_step(command: Train, outcome: lazy.run.Outcome) -> str:
         return f"Race it: league race {out} centerline"
     cfg = command.cfg
     more = [f"--minutes {2 * cfg.minutes:g}"] if cfg.minutes else []
-    more += [f"--steps {2 * cfg.steps}"] if cfg.steps else []
+    # A whole update may have driven more than was asked for.
+    more += [f"--steps {2 * max(cfg.steps, outcome.samples)}"] if cfg.steps else []
     return (
         "No lap is complete yet. Train on with twice the budget: "
         f"league train --resume --out {out} {' '.join(more)}"
