@@ -374,6 +374,7 @@ def test_a_wrong_name_gives_the_nearest_ones(told, capsys):
         (["export"], "nothing was named to export"),
         (["init"], "there is a league"),
         (["init", "--cars", "1"], "have 2 to 8"),
+        (["init", "--cars", "9"], "have 2 to 8"),
         (["init", "--anchors", "fast"], "no scripted driver 'fast'"),
     ],
 )

@@ -248,9 +248,11 @@ def _rules(command: Init) -> lazy.heat_spec.Ruleset:
             raise ConfigError(f"there is no scripted driver {name!r}; {nearest}")
     if command.bots and not command.obstacles:
         raise ConfigError("--bots means nothing without --obstacles: give both, or neither")
-    if command.cars < 2:
+    from league.sim.config import MAX_CARS  # late: NumPy takes a while
+
+    if not 2 <= command.cars <= MAX_CARS:
         raise ConfigError(
-            f"{command.cars} cars in a race: a league's races have 2 to 8, give --cars 2"
+            f"{command.cars} cars in a race: a league's races have 2 to {MAX_CARS}, give --cars 2"
         )
     for names in (command.track, command.anchors):
         if len(set(names)) < len(names):
