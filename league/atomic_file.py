@@ -19,12 +19,15 @@ def replacing(
 ) -> Generator[Path]:
     """Yield a temporary file to write; it takes the name `path` when the block succeeds.
 
-    Folders are made as needed; after an error the earlier file stays. `error` says that `what`
-    cannot be written if the file system refuses, or a library, by one of the errors in `also`.
+    A link stays, and the file that it points to is replaced. Folders are made as needed; after an
+    error the earlier file stays. `error` says that `what` cannot be written if the file system
+    refuses, or a library, by one of the errors in `also`.
     """
     path = Path(path)
-    temporary = path.parent / f".{path.name[:80]}.{os.urandom(6).hex()}"
     failure = f"{what} cannot be written to {path}"
+    if path.is_symlink():
+        path = Path(os.path.realpath(path))
+    temporary = path.parent / f".{path.name[:80]}.{os.urandom(6).hex()}"
     try:
         with explaining(failure, error, "give a place that can be written and has room", *also):
             if path.exists() and not (path.is_file() or path.is_dir()):

@@ -408,6 +408,16 @@ def test_a_pipe_or_device_keeps_its_name(league, tmp_path):
     assert (tmp_path / "pipe").is_fifo()
 
 
+def test_a_link_stays_and_what_it_points_to_is_written(league, tmp_path):
+    (tmp_path / "kept").mkdir()
+    target, link = tmp_path / "kept" / "old.png", tmp_path / "latest.png"
+    target.write_bytes(b"old")
+    link.symlink_to("kept/old.png")
+    assert league("tracks", "show", "peanut", "--out", "latest.png")[0] == 0
+    assert link.is_symlink() and target.read_bytes().startswith(b"\x89PNG")
+    assert [path.name for path in (tmp_path / "kept").iterdir()] == ["old.png"]
+
+
 def test_replays_are_listed_and_the_unreadable_named(league, tmp_path):
     code, _, err = league("replays")
     assert code == 2 and is_one_sentence(err) and "race first" in err
