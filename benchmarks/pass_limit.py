@@ -1,6 +1,7 @@
 """How fast rivals can be passed at all, by an attacker that knows what the defender will do.
 
     python -m benchmarks.pass_limit [--races 30] [--plans 32] TRUTH.pt [--defender NAME]
+        [--shares 0.78 0.82 0.86 0.9 1]
 
 TRUTH.pt is a policy of `league train --self-play --sensors truth`. The attacker searches: every
 third of a second it tries many plans, random changes of what the policy would do during the next
@@ -23,7 +24,7 @@ from league.track import files
 from league.track.track import TrackSet
 
 SHARES = (0.78, 0.82, 0.86, 0.90, 1.0)
-"""Top speeds of the defender, as shares of the car's."""
+"""Top speeds of the defender, as shares of the car's, unless others are given."""
 ROUND, PIECES = 5, 3
 """Control steps between two choices, a third of a second, and how many such rounds a plan has."""
 HORIZON = 45
@@ -122,6 +123,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--races", type=int, default=30)
     parser.add_argument("--plans", type=int, default=32)
     parser.add_argument("--track", default="reinvent_2018")
+    parser.add_argument("--shares", type=float, nargs="+", default=SHARES)
     given = parser.parse_args(arguments)
     track = files.load(given.track)
     cfg, tracks = DuelConfig(track, races=given.races), TrackSet(track)
@@ -133,7 +135,7 @@ def main(arguments: list[str] | None = None) -> None:
     own = duels.solo_lap(cfg, load(given.policy))
     heading(f"{given.policy} behind {rival} on {track.name}, {cfg.races} races at each pace")
     row = table("pace of the defender", "policy: passed cleanly", "search: passed cleanly")
-    for share in SHARES:
+    for share in given.shares:
         pace = own / duels.solo_lap(cfg, load(rival), share)
         alone = duels.from_behind(cfg, (load(rival), load(given.policy)), (share, 1.0))
         found = Search(cfg, load(given.policy), load(rival), share, given.plans).run()
