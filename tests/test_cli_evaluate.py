@@ -43,6 +43,15 @@ def test_an_unknown_track_is_named_before_any_is_driven(league):
     assert "there is no track 'nowhere'" in err
 
 
+@pytest.mark.parametrize("kept", ["--trace=file/t.csv", "--trace=file", "--replay=file/a.race"])
+def test_a_place_that_cannot_be_written_is_named_before_any_is_driven(league, tmp_path, kept):
+    (tmp_path / "file").write_text("mine")
+    code, out, err = league("evaluate", "centerline", *QUICK, kept)
+    assert (code, out) == (2, "")
+    assert err.count("\n") == 1 and "file is no folder" in err
+    assert (tmp_path / "file").read_text() == "mine"
+
+
 def test_json_holds_trials_and_summary(league):
     code, out, err = league("evaluate", "centerline", *QUICK, "--trials", "2", "--json")
     told = json.loads(out)

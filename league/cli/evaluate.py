@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg, subcommand
 
 from league import times
+from league.atomic_file import check_writable
 from league.cli import lazy, tables
 from league.cli.race import (
     labels,
@@ -23,7 +24,7 @@ from league.cli.race import (
     replay_line,
     replay_path,
 )
-from league.errors import ConfigError
+from league.errors import ConfigError, ReplayError
 from league.flags import Unset
 from league.sim.config import ObstacleConfig, RaceKind, SimConfig
 
@@ -93,7 +94,7 @@ class Evaluate:
 
 
 def _check(command: Evaluate) -> None:
-    """Refuse flags that contradict each other, and unknown tracks, before anything is driven."""
+    """Refuse what cannot be driven or kept, before anything is driven."""
     tracks, trace, replay = command.track, command.trace, command.replay
     several = len(tracks) > 1
     for contradicts, sentence in (
@@ -126,6 +127,11 @@ def _check(command: Evaluate) -> None:
             raise ConfigError(sentence)
     for track in tracks if several else ():
         lazy.files.load(track)
+    if trace is not None:
+        check_writable(trace / "ip" if _is_folder(trace) else trace, "the trace", ConfigError)
+    if replay != "none":
+        kept = Path(replay) if replay.endswith(".race") else Path(replay) / "one.race"
+        check_writable(kept, "the replay", ReplayError)
     print_remark(_kind(command), num_obstacles(command), 1)
 
 
