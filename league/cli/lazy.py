@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from league import race_spec, replay, rerun_view, subprocesses, video
+    from league import race_spec, replay, rerun_view, subprocesses, threads, video
     from league.agents import checkpoint, export, roster
     from league.deepracer import check, rescore, reward_file
     from league.envs import rewards

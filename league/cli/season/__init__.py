@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Literal
 
 from league.cli import lazy
 from league.errors import ConfigError, brief
-from league.threads import processors
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -82,7 +81,7 @@ def local_workers(
     num_workers: int, kind: Literal["processes", "ray"] = "processes"
 ) -> closing[lazy.workers.Executor]:
     """Start workers, one for each core if 0 were asked for; `with` ends them afterwards."""
-    return closing(lazy.workers.make_executor(kind, num_workers or processors()))
+    return closing(lazy.workers.make_executor(kind, num_workers or lazy.threads.processors()))
 
 
 def print_json(value: object) -> None:
