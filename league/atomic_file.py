@@ -8,6 +8,8 @@ from pathlib import Path
 
 from league.errors import LeagueError, explaining
 
+SPECIAL = "it is no plain file"
+
 
 @contextmanager
 def replacing(
@@ -23,15 +25,13 @@ def replacing(
     error the earlier file stays. `error` says that `what` cannot be written if the file system
     refuses, or a library, by one of the errors in `also`.
     """
-    path = Path(path)
-    failure = f"{what} cannot be written to {path}"
-    if path.is_symlink():
-        path = Path(os.path.realpath(path))
+    failure = f"{what} cannot be written to {os.fspath(path)}"
+    path = _written(Path(path))
     temporary = path.parent / f".{path.name[:80]}.{os.urandom(6).hex()}"
     try:
         with explaining(failure, error, "give a place that can be written and has room", *also):
-            if path.exists() and not (path.is_file() or path.is_dir()):
-                raise OSError(errno.ENOTSUP, "it is no plain file")  # a device would be lost
+            if _is_special(path):
+                raise OSError(errno.ENOTSUP, SPECIAL)  # a device would be lost
             path.parent.mkdir(parents=True, exist_ok=True)
             temporary.touch(exist_ok=False)
             yield temporary
@@ -61,11 +61,14 @@ def read_plain(
 
 def check_writable(path: Path, what: str, error: type[LeagueError]) -> None:
     """Refuse a place where no file can be made, before the work that it is to keep."""
-    there = path.parent
+    target = _written(path)
+    there = target.parent
     while not there.exists() and there != there.parent:
         there = there.parent
-    if path.is_dir():
+    if target.is_dir():
         reason = "it is a folder"
+    elif _is_special(target):
+        reason = SPECIAL
     elif not there.is_dir():
         reason = f"{there} is no folder"
     elif not os.access(there, os.W_OK | os.X_OK):
@@ -73,3 +76,13 @@ def check_writable(path: Path, what: str, error: type[LeagueError]) -> None:
     else:
         return
     raise error(f"{what} cannot be written to {path} ({reason}): give a place that can be written")
+
+
+def _written(path: Path) -> Path:
+    """Return the file that is written for a path: of a link, what it points to."""
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
+
+
+def _is_special(path: Path) -> bool:
+    """Return whether a path is a device, a pipe or a socket."""
+    return path.exists() and not (path.is_file() or path.is_dir())

@@ -406,6 +406,11 @@ def test_a_pipe_or_device_keeps_its_name(league, tmp_path):
     code, _, err = league("tracks", "show", "peanut", "--out", "pipe")
     assert code == 2 and is_one_sentence(err) and "pipe (it is no plain file): give" in err
     assert (tmp_path / "pipe").is_fifo()
+    os.mkfifo(tmp_path / "pipe.race")
+    code, out, err = league("race", "centerline", "--laps", "1", "--replay", "pipe.race")
+    assert (code, out) == (2, "")  # before the race
+    assert is_one_sentence(err) and "pipe.race (it is no plain file): give" in err
+    assert (tmp_path / "pipe.race").is_fifo()
 
 
 def test_a_link_stays_and_what_it_points_to_is_written(league, tmp_path):
