@@ -5,13 +5,20 @@ import math
 import pytest
 import torch
 from rsl_rl.models import MLPModel
+from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
 from league.agents.network import NetworkConfig
 from league.envs.actions import ContinuousActions, DiscreteActions
 from league.sim.config import SensorConfig
 from league.training.config import TrainConfig
-from league.training.ppo.models import BoundedGaussian, ByteCNNModel, Categorical, actor_settings
+from league.training.ppo.models import (
+    BoundedGaussian,
+    ByteCNNModel,
+    Categorical,
+    PictureStorage,
+    actor_settings,
+)
 
 SCORES = torch.log(torch.tensor([[0.5, 0.25, 0.25], [0.8, 0.1, 0.1]]))
 
@@ -125,3 +132,37 @@ def test_a_network_sees_the_same_in_bytes_as_in_shares_of_one():
     brighter = floats.clone()
     brighter["stereo"] = floats["stereo"] * 0.5
     assert not torch.equal(model(told), model(brighter))
+
+
+def collected(kind: type[RolloutStorage]) -> RolloutStorage:
+    """Return six steps of four worlds, with a different picture and motion in each row."""
+    generator = torch.Generator().manual_seed(1)
+    obs = TensorDict({"stereo": torch.zeros(4, 2, 6, 8).byte(), "motion": torch.zeros(4, 5)}, [4])
+    storage = kind("rl", 4, 6, obs, [2])
+    storage.distribution_params = (torch.rand(6, 4, 2, generator=generator),)
+    pictures = storage.observations["stereo"]
+    pictures.copy_(torch.randint(0, 256, pictures.shape, generator=generator))
+    storage.observations["motion"].copy_(torch.rand(6, 4, 5, generator=generator))
+    return storage
+
+
+def test_mini_batches_with_pictures_are_those_of_rsl_rl():
+    batches = []
+    for kind in (RolloutStorage, PictureStorage):
+        torch.manual_seed(2)
+        storage = collected(kind)
+        batches.append([batch.observations for batch in storage.mini_batch_generator(3, 2)])
+        assert set(storage.observations.keys()) == {"stereo", "motion"}
+    assert len(batches[0]) == len(batches[1]) == 6
+    for theirs, ours in zip(*batches, strict=True):
+        assert theirs.keys() == ours.keys()
+        assert (theirs == ours).all()
+
+
+def test_pictures_stay_stored_where_an_update_is_interrupted():
+    storage = collected(PictureStorage)
+    pictures = storage.observations["stereo"].clone()
+    batches = storage.mini_batch_generator(3, 2)
+    next(batches)
+    batches.close()
+    assert torch.equal(storage.observations["stereo"], pictures)

@@ -22,7 +22,7 @@ from league.errors import ConfigError, PolicyError, brief
 from league.track.track import TrackSet
 from league.training.config import TrainConfig
 from league.training.ppo import distributed, make_env, symmetry
-from league.training.ppo.models import actor_settings
+from league.training.ppo.models import PictureStorage, actor_settings
 from league.training.ppo.statistics import EpisodeStatistics, Moments, RewardNormalization
 
 STATE_FORMAT = 1
@@ -67,6 +67,8 @@ class Learner:
         self._obs = env.get_observations()
         with contextlib.redirect_stdout(io.StringIO()):  # it prints its networks
             self._alg = PPO.construct_algorithm(self._obs, env, self._settings(), cfg.device)
+        if cfg.sensors.camera is not None:
+            self._alg.storage.__class__ = PictureStorage  # its memory is allocated already
         self._symmetry = None
         if cfg.symmetry and symmetry.applies(cfg.sensors, cfg.action_space):
             self._symmetry = symmetry.Symmetry(cfg.sensors, cfg.action_space, cfg.ppo.mini_batches)

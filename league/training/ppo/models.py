@@ -1,8 +1,11 @@
-"""rsl-rl models: a CNN for pictures as bytes, and distributions of bounded actions and choices."""
+"""Parts for rsl-rl: pictures as bytes, and distributions of bounded actions and choices."""
+
+from collections.abc import Generator
 
 import torch
 from rsl_rl.models import CNNModel, MLPModel
 from rsl_rl.modules.distribution import Distribution, GaussianDistribution
+from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 from torch import Tensor, nn
 
@@ -33,6 +36,29 @@ class ByteCNNModel(CNNModel):
                 picture = picture.to(torch.float32).div_(255.0)  # in place: it is large
             features.append(self.cnns[group](picture))
         return torch.cat(features, dim=-1)
+
+
+class PictureStorage(RolloutStorage):
+    """A RolloutStorage that copies whole pictures into its mini-batches.
+
+    rsl-rl copies them byte by byte, which is slow on a CPU.
+    """
+
+    def mini_batch_generator(
+        self, num_mini_batches: int, num_epochs: int = 8
+    ) -> Generator[RolloutStorage.Batch]:
+        """Yield the mini-batches that rsl-rl yields."""
+        stored, pictures = self.observations, self.observations["stereo"].flatten(0, 1)
+        rows = torch.arange(len(pictures), device=self.device).view(stored.batch_size)
+        self.observations = stored.exclude("stereo").set("row", rows)
+        try:
+            for batch in super().mini_batch_generator(num_mini_batches, num_epochs):
+                obs = batch.observations
+                assert obs is not None
+                obs["stereo"] = pictures.index_select(0, obs.pop("row"))
+                yield batch
+        finally:
+            self.observations = stored
 
 
 class _NearZero(Distribution):
