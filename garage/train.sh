@@ -32,6 +32,7 @@ novice() {  # a minute of time trial
     train novice --seed 2 --action-space 1-4 --minutes 1
 }
 duelist() {  # wheel to wheel: on the true state, then with cameras, lidar and a short memory
+    # The policy here is of 27 November, when light touches were dear (docs/self_play.md).
     train duelist --seed 3 --kind head_to_head --self-play --cars 4 --teacher 0.195 --minutes 77 \
         --threads 1 --sensors stereo64x48 sectors history4 frames2 --eval-every 10
     .venv/bin/league train --out garage/duelist.pt --plain --resume --minutes 110

@@ -25,7 +25,7 @@ RECORDED = {
     "bots": "b9b1aaa07903f5c3",
     "boxes": "6a37e0ddcadea74d",
     "crowd": "5012b75e6d93271e",
-    "meeting": "24cc78afdbc48a75",
+    "meeting": "f5b78a4b166e30f2",
     "policies": "09b6d1ea4944e775",
     "policy": "721d124fbadbb943",
     "race": "f0970a467f4b4893",

@@ -36,7 +36,7 @@ NO_ATTACK, FAILED, PASSED, CLEAN = 0, 1, 2, 3
 """How an attack ended: none was made, not passed, passed with a mistake, passed without one."""
 
 _BASE, _KIND, _GROUPS, _ORDER, _LENGTH, _FIRST, _FAST, _SLOW, _WHICH = purposes(221, 230)
-_GAP, _LANE, _PACE, _OWN_PACE, _QUEUE, _QUEUE_PACE, _LEARNER = purposes(231, 238)
+_GAP, _LANE, _PACE, _OWN_PACE, _QUEUE, _QUEUE_PACE, _LEARNER, _SIDE = purposes(231, 239)
 _ATTEMPTS, _CLEAR = 12, f32(0.8)
 _SIDE_LEAST, _SIDE_MORE, _SIDE_SHIFT, _ROW = f32(0.45), f32(0.2), f32(0.3), f32(1.0)
 _NEAREST_START, _FARTHEST_START, _LANES = f32(0.45), f32(1.8), f32(0.7)
@@ -49,6 +49,8 @@ _PARTED = f32(0.4)
 _LEAST_FAST, _ROADBLOCK = f32(0.85), (f32(0.15), f32(0.75))
 _SLOWEST, _FASTER, _SPREAD = f32(0.3), f32(0.7), f32(0.15)
 _AT_REST = f32(0.3)  # share of cars alone that begin at rest, as after a penalty
+_CREEP = f32(0.5)
+"""Largest speed at which cars begin on a grid [m/s]: so no two starts are alike."""
 _START, _END = f32(0.2), f32(0.5)
 _STEEPEST = f32(0.3)
 _LOOK = np.array((0.0, 0.4, 0.8, 1.2), np.float32)
@@ -98,7 +100,10 @@ def begin(encounter, cars, obstacles, world, points, course, sim, rules):
         own = _TWO * uniform_of(seed, _OWN_PACE, step, c) - _ONE
         limit = blame.allowed_speed(cars[c].s, _LOOK, points, course, sim)
         limit = min(limit, cars[c].top_speed)
-        speed = min(base * (_ONE + _SPREAD * own), limit)
+        speed = base * (_ONE + _SPREAD * own)
+        if standing:
+            speed = _CREEP * _HALF * (_ONE + own)
+        speed = min(speed, limit)
         if place % size and not abreast:
             gap = signed_gap(course, cars[order[place - 1]].s, cars[c].s)
             speed = min(speed, _can_stop_behind(ahead, gap, sim))
@@ -193,11 +198,12 @@ def _draw_spots(attempt, spots, size, standing, abreast, world, points, course, 
         base = _START + (course.length - _START - _END) * uniform_of(seed, _BASE, step, attempt)
         base = max(base, min(_FARTHEST_START * f32(num_cars), course.length - _END))
     offset = _ZERO
+    turned = uniform_of(seed, _SIDE, step, attempt) < _HALF
     for place in range(num_cars):
         member = place % size
         if member == 0:
             offset = course.length / f32(groups) * f32(place // size)
-        side = _ONE if (place + attempt) % 2 == 0 else -_ONE
+        side = _ONE if (place % 2 == 0) != turned else -_ONE
         lane = uniform_of(seed, _LANE, step, place, attempt)
         share = _LANES * (_TWO * lane - _ONE)
         if standing:

@@ -119,10 +119,15 @@ def test_rolling_cars_drive_one_behind_the_other():
     assert (along <= cars["top_speed"] + 1e-4).all()
 
 
-def test_standing_cars_are_at_rest():
-    env = make(replace(ROLLING, standing=1.0))
-    assert not env.world.cars["velocity_x"].any()
+def test_cars_on_a_grid_creep_and_the_first_stands_on_either_side():
+    cars = (env := make(replace(ROLLING, standing=1.0))).world.cars
+    speed = np.hypot(cars["velocity_x"], cars["velocity_y"])
+    assert speed.min() < 0.05 and 0.45 < speed.max() <= 0.5
     assert set(np.rint(np.abs(gaps(env)) * 1000).ravel().tolist()) == {750}
+    left = cars["lateral"] > 0.0
+    assert (left[:, 0] != left[:, 1]).all()
+    ahead = np.where(gaps(env)[:, 0] < 0.0, left[:, 0], left[:, 1])
+    assert 0.35 < ahead.mean() < 0.65
 
 
 def test_the_fastest_car_mostly_begins_last_and_the_others_have_their_share_of_its_speed():

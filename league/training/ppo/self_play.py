@@ -29,14 +29,14 @@ from league.training.ppo.learner import Learner, Update
 from league.training.ppo.teacher import TaughtLearner, Teacher
 
 WARM_UP = 0.04  # Share of a stage before rivals become faster or slower: the cars learn to drive.
-ENOUGH, AT_LAST = 0.45, 0.7
-"""Share of clean attacks above which rivals become faster, at the start and the end of the first
-stage; in the second it stays at the first value."""
+ENOUGH = 0.5  # Share of clean attacks above which rivals become faster.
 SLACK = 0.1  # How far below that share rivals become slower.
 PACE_STEP = 2.5  # How much the rivals' largest top speed changes over a whole stage of success.
-FIRST_PACE, LEAST_PACE, RANGE = 0.70, 0.60, 0.25
+FIRST_PACE, LEAST_PACE, RANGE = 0.70, 0.60, 0.12
 """Largest top speed of rivals at first and at least, and how far below it the smallest lies."""
-DEAR = 6.0  # Price of a contact at the end of a stage, in its first: more than a pass earns.
+DEAR = 6.0
+"""Price of a hard contact at the end of a stage, in its first: more than a pass earns. A light one
+stays cheap: who must not touch at all waits for mistakes."""
 SPREAD = 0.5  # Least randomisation of the cars; see TrainConfig.
 Scripted = tuple[tuple[float, tuple[str, ...]], ...]
 FIRST_SCRIPTED: Scripted = (
@@ -62,23 +62,20 @@ _KEPT = ("pace", "share", "attacks", "passed", "clean")  # what a curriculum's s
 class Curriculum:
     """Rivals as fast as can just be passed, and contacts that become dear, over one stage."""
 
-    def __init__(self, rows: int, at_last: float = AT_LAST) -> None:
-        """Start with slow rivals and cheap contacts, for updates of so many decisions.
-
-        `at_last` is the share of clean attacks above which rivals become faster at its end.
-        """
-        self._rows, self._at_last = rows, at_last
+    def __init__(self, rows: int) -> None:
+        """Start with slow rivals and cheap contacts, for updates of so many decisions."""
+        self._rows = rows
         self.pace = FIRST_PACE  # largest top speed of rivals, as a share of the fastest car's
         self.share = self.attacks = self.passed = self.clean = 0.0
 
     def prepare(self, worlds: RaceEnv, share: float) -> None:
         """Set rivals' top speeds and the price of contacts, at a share of the stage."""
         assert worlds.cfg.scenarios is not None
-        least = max(self.pace - RANGE, 0.45)
-        rivals = {"fastest_rival": self.pace, "slowest_rival": least}
+        rivals = {"fastest_rival": self.pace, "slowest_rival": self.pace - RANGE}
         worlds.change_scenarios(replace(worlds.cfg.scenarios, **rivals))
         first, dear = PRESETS["race"], 1.0 + (DEAR - 1.0) * min(share / 0.8, 1.0)
-        worlds.change_weights(replace(first, touch=dear * first.touch, crash=dear * first.crash))
+        dear_ones = {"crash": dear * first.crash, "closing": dear * first.closing}
+        worlds.change_weights(replace(first, **dear_ones))
 
     def add(self, update: Update, share: float) -> Update:
         """Move the rivals' pace after an update; return it with the shares of lately in its log."""
@@ -89,13 +86,12 @@ class Curriculum:
         self.attacks = kept * self.attacks + attacks
         self.passed = kept * self.passed + passed
         self.clean = kept * self.clean + clean
-        enough = ENOUGH + (self._at_last - ENOUGH) * share
         step = PACE_STEP * max(share - self.share, 0.0)
         self.share = share
         succeeded = self.clean / max(self.attacks, 1.0)
-        if share > WARM_UP and succeeded > enough:
+        if share > WARM_UP and succeeded > ENOUGH:
             self.pace = min(self.pace + step, 1.0)
-        elif share > WARM_UP and succeeded < enough - SLACK:
+        elif share > WARM_UP and succeeded < ENOUGH - SLACK:
             self.pace = max(self.pace - step, LEAST_PACE)
         shares = {"clean": succeeded, "passed": self.passed / max(self.attacks, 1.0)}
         log = {f"/race/{name}": value for name, value in {"pace": self.pace, **shares}.items()}
@@ -192,7 +188,7 @@ class RacingLearner(_OnCurriculum, TaughtLearner):
         env = make_env.make(tracks, cfg, opponents=rivals, **settings)
         super().__init__(env, cfg, racer)
         self.racer = racer  # The network that sees the true state.
-        self.curriculum = Curriculum(self.env.num_envs * cfg.ppo.rollout, at_last=ENOUGH)
+        self.curriculum = Curriculum(self.env.num_envs * cfg.ppo.rollout)
 
     def _learn(self, share: float) -> Update:
         """Collect and learn at a share of its own stage, with rivals as fast as it can pass."""
