@@ -52,7 +52,7 @@ class Scenarios(Checked, what="scenarios"):
     alone: float = ranged(0.12, 0.0, 1.0)
     """Share of scenarios in which the cars are spread over the lap."""
     standing: float = ranged(0.15, 0.0, 1.0)
-    """Share in which they begin at rest, on a grid anywhere."""
+    """Share in which they begin nearly at rest, on a grid anywhere."""
     abreast: float = ranged(0.15, 0.0, 1.0)
     """Share in which they begin at speed side by side; in the rest one behind the other."""
     attack: float = ranged(0.75, 0.0, 1.0)

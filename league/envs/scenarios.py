@@ -49,8 +49,7 @@ _PARTED = f32(0.4)
 _LEAST_FAST, _ROADBLOCK = f32(0.85), (f32(0.15), f32(0.75))
 _SLOWEST, _FASTER, _SPREAD = f32(0.3), f32(0.7), f32(0.15)
 _AT_REST = f32(0.3)  # share of cars alone that begin at rest, as after a penalty
-_CREEP = f32(0.5)
-"""Largest speed at which cars begin on a grid [m/s]: so no two starts are alike."""
+_CREEP = f32(0.5)  # largest speed at which cars begin on a grid [m/s]: no two starts are alike
 _START, _END = f32(0.2), f32(0.5)
 _STEEPEST = f32(0.3)
 _LOOK = np.array((0.0, 0.4, 0.8, 1.2), np.float32)
@@ -88,9 +87,11 @@ def begin(encounter, cars, obstacles, world, points, course, sim, rules):
     _draw_order(order, first, world, rules)
     spots = np.empty((num_cars, 2), np.float32)
     _find_spots(spots, size, standing, abreast, obstacles, world, points, course, sim, rules)
-    base = _ZERO
+    base, spread = _ZERO, _SPREAD
     drawn = uniform_of(seed, _PACE, step)
-    if not standing and not (encounter.alone and drawn < _AT_REST):
+    if standing:
+        base, spread = _HALF * _CREEP, _ONE
+    elif not (encounter.alone and drawn < _AT_REST):
         base = (_SLOWEST + _FASTER * drawn) * sim.max_speed
     ahead = _ZERO
     for place in range(num_cars):
@@ -100,10 +101,7 @@ def begin(encounter, cars, obstacles, world, points, course, sim, rules):
         own = _TWO * uniform_of(seed, _OWN_PACE, step, c) - _ONE
         limit = blame.allowed_speed(cars[c].s, _LOOK, points, course, sim)
         limit = min(limit, cars[c].top_speed)
-        speed = base * (_ONE + _SPREAD * own)
-        if standing:
-            speed = _CREEP * _HALF * (_ONE + own)
-        speed = min(speed, limit)
+        speed = min(base * (_ONE + spread * own), limit)
         if place % size and not abreast:
             gap = signed_gap(course, cars[order[place - 1]].s, cars[c].s)
             speed = min(speed, _can_stop_behind(ahead, gap, sim))

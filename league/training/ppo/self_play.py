@@ -60,7 +60,7 @@ _KEPT = ("pace", "share", "attacks", "passed", "clean")  # what a curriculum's s
 
 
 class Curriculum:
-    """Rivals as fast as can just be passed, and contacts that become dear, over one stage."""
+    """Rivals as fast as can just be passed, and hard contacts that become dear, over one stage."""
 
     def __init__(self, rows: int) -> None:
         """Start with slow rivals and cheap contacts, for updates of so many decisions."""
@@ -74,8 +74,8 @@ class Curriculum:
         rivals = {"fastest_rival": self.pace, "slowest_rival": self.pace - RANGE}
         worlds.change_scenarios(replace(worlds.cfg.scenarios, **rivals))
         first, dear = PRESETS["race"], 1.0 + (DEAR - 1.0) * min(share / 0.8, 1.0)
-        dear_ones = {"crash": dear * first.crash, "closing": dear * first.closing}
-        worlds.change_weights(replace(first, **dear_ones))
+        hits = {"crash": dear * first.crash, "closing": dear * first.closing}
+        worlds.change_weights(replace(first, **hits))
 
     def add(self, update: Update, share: float) -> Update:
         """Move the rivals' pace after an update; return it with the shares of lately in its log."""
