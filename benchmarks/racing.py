@@ -18,6 +18,7 @@ from benchmarks.lap_bound import lap_bound
 from benchmarks.report import figure, heading, note, table
 from league.agents import roster
 from league.envs.driver import Driver
+from league.errors import LeagueError
 from league.racing import duels
 from league.racing.duels import RESOLUTION, DuelConfig, Threshold
 from league.racing.evaluate import evaluate
@@ -120,8 +121,11 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--solver", choices=("bullet", "planar"), default="bullet")
     parser.add_argument("--track", default="reinvent_2018")
     given = parser.parse_args(arguments or [])
-    cfg = DuelConfig(files.load(given.track), races=given.races, solver=given.solver)
-    measured = [measure(path, cfg) for path in given.policies]
+    try:
+        cfg = DuelConfig(files.load(given.track), races=given.races, solver=given.solver)
+        measured = [measure(path, cfg) for path in given.policies]
+    except LeagueError as error:
+        parser.error(str(error))
     if len(measured) > 1:
         heading(f"Medians of these {len(measured)} policies")
         for name, (_, unit, goal, most) in measured[0].items():

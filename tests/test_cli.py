@@ -251,6 +251,8 @@ def test_a_mistyped_command_is_one_sentence_with_what_is_near(league):
         ("race a --replay", "--replay needs a value; "),
         ("video", "REPLAY is missing; "),
         ("cup begin", "ACTION is 'begin': give show or start; "),
+        ("tracks liist", "`league tracks` does not take 'liist'; nearest: list"),
+        ("tracks --jsn", "`league tracks` has no flag '--jsn'; `league tracks --help` says more"),
         ("h2h a b c", "`league h2h` does not take 'c'; "),
         ("token", "it is not said what to do: give create or list or revoke; "),
     ],

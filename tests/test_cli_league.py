@@ -217,11 +217,13 @@ def test_a_heat_is_shown_with_its_seeds_and_classification(told):
     assert told("heat", heat["key"][:12]) == told("heat", number)
 
 
-def test_a_race_of_the_league_can_be_watched(told, tmp_path):
+def test_a_race_of_the_league_can_be_watched(told, tmp_path, capsys):
     number = str(json.loads(told("heats", "--state", "done", "--json"))[-1]["number"])
     path = tmp_path / "heat.race"
     assert str(path) in told("view", number, "--race", "2", "--save", str(path))
     assert path.stat().st_size > 100
+    assert main(["view", str(path), "--race", "2"]) == 2
+    assert "is one race: give --race with the number of a" in capsys.readouterr().err
     recording = tmp_path / "heat.rrd"
     told("view", number, "--rrd", str(recording), "--no-cameras")
     assert recording.stat().st_size > 1000

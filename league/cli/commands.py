@@ -140,14 +140,14 @@ def parse(kind: type, name: str, arguments: list[str], default: Any = None) -> A
 
 
 def _unknown(tokens: list[str], kind: type, name: str) -> str:
-    flag = next((token.partition("=")[0] for token in tokens if token.startswith("-")), None)
-    if flag is None:
-        return f"`league {name}` does not take {brief(tokens[0])}; `league {name} --help` says more"
     with redirect_stdout(io.StringIO()) as shown, suppress(SystemExit):
         parse(kind, name, ["--help"])
-    flags = set(re.findall(r"--[a-z-]+", shown.getvalue())) - {"--help"}
-    nearest = nearest_names(flag, sorted(flags))
-    return f"`league {name}` has no flag {brief(flag)}; {nearest}"
+    flag = next((token.partition("=")[0] for token in tokens if token.startswith("-")), None)
+    wrong = f"does not take {brief(tokens[0])}" if flag is None else f"has no flag {brief(flag)}"
+    known = re.findall("• ([a-z]+) " if flag is None else "--[a-z][a-z-]*", shown.getvalue())
+    known = sorted(set(known) - {"--help"})
+    more = nearest_names(flag or tokens[0], known) if known else f"`league {name} --help` says more"
+    return f"`league {name}` {wrong}; {more}"
 
 
 def _mistake(event: mistakes.ParseErrorEvent) -> str | None:

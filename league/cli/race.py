@@ -293,7 +293,7 @@ class View(OnLeague):
 
     replay: Annotated[Positional[Unset[Path | None]], arg(metavar="[REPLAY]")] = None
     """The replay file, or the number of a league's heat; by default the newest in replays/."""
-    race: int = 1  # Which race of the heat.
+    race: Unset[int | None] = None  # Which race of the heat, by default the first.
     save: Unset[Path | None] = None
     """Only write the heat's replay to this file, for `league video` or `league verify`."""
     web: bool = False  # Serve the web viewer on this machine only and print its address.
@@ -417,14 +417,17 @@ def _recorded(command: View, path: Path) -> lazy.replay.Replay:
     """Return the replay of a file or, if there is none and the name is a heat's, of a league."""
     name = str(path)
     if path.exists() or not set(name) <= set("0123456789abcdef"):
+        if command.race is not None:
+            raise ReplayError(f"{path} is one race: give --race with the number of a league's heat")
         return lazy.replay.read(path)
+    race = 1 if command.race is None else command.race
     with command.opened() as store:
         record = store.heat(name)
         kept = {result.half + 1: result.replay for result in store.results(record.number)}
-        if not kept.get(command.race):
+        if not kept.get(race):
             there = ", ".join(str(race) for race, digest in sorted(kept.items()) if digest)
             raise ReplayError(
-                f"there is no replay of race {command.race} of heat {record.number} "
+                f"there is no replay of race {race} of heat {record.number} "
                 f"({record.state}): replays are kept of race {there or 'none'}"
             )
-        return lazy.format.decode(store.blobs.get(kept[command.race] or ""))
+        return lazy.format.decode(store.blobs.get(kept[race] or ""))
