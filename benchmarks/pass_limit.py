@@ -13,7 +13,7 @@ import argparse
 
 import numpy as np
 
-from benchmarks.report import heading, note, table
+from benchmarks.report import heading, note, table, without_traceback
 from league.agents import roster
 from league.agents.rollout import DriverPool
 from league.envs.driver import Driver
@@ -115,6 +115,7 @@ class Search:
         self._over = self._over | ended
 
 
+@without_traceback()
 def main(arguments: list[str] | None = None) -> None:
     """Compare a policy with the search at several paces of the defender."""
     parser = argparse.ArgumentParser(description=__doc__)

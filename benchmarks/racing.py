@@ -15,10 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.lap_bound import lap_bound
-from benchmarks.report import figure, heading, note, table
+from benchmarks.report import figure, heading, note, table, without_traceback
 from league.agents import roster
 from league.envs.driver import Driver
-from league.errors import LeagueError
 from league.racing import duels
 from league.racing.duels import RESOLUTION, DuelConfig, Threshold
 from league.racing.evaluate import evaluate
@@ -113,6 +112,7 @@ def _show(found: Threshold) -> None:
         row(f"{pace:.3f}", *rates, *per_km, one.off_tracks)
 
 
+@without_traceback()
 def main(arguments: list[str] | None = None) -> None:
     """Measure the given policies."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -121,11 +121,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--solver", choices=("bullet", "planar"), default="bullet")
     parser.add_argument("--track", default="reinvent_2018")
     given = parser.parse_args(arguments or [])
-    try:
-        cfg = DuelConfig(files.load(given.track), races=given.races, solver=given.solver)
-        measured = [measure(path, cfg) for path in given.policies]
-    except LeagueError as error:
-        parser.error(str(error))
+    cfg = DuelConfig(files.load(given.track), races=given.races, solver=given.solver)
+    measured = [measure(path, cfg) for path in given.policies]
     if len(measured) > 1:
         heading(f"Medians of these {len(measured)} policies")
         for name, (_, unit, goal, most) in measured[0].items():

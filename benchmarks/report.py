@@ -5,15 +5,28 @@ import os
 import platform
 import re
 import statistics
+import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Generator, Iterable
+from contextlib import contextmanager
 from importlib.metadata import version
 from itertools import takewhile
+
+from league.errors import LeagueError
 
 FIGURE = ("figure", "measured", "goal", "met")
 """Columns of the table that figures stand in."""
 _lines: list[str] = []
 """What was printed since it was last taken, as Markdown."""
+
+
+@contextmanager
+def without_traceback() -> Generator[None]:
+    """End the program with the sentence of a LeagueError."""
+    try:
+        yield
+    except LeagueError as error:
+        sys.exit(str(error))
 
 
 def heading(title: str) -> None:

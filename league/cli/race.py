@@ -417,9 +417,10 @@ def _recorded(command: View, path: Path) -> lazy.replay.Replay:
     """Return the replay of a file or, if there is none and the name is a heat's, of a league."""
     name = str(path)
     if path.exists() or not set(name) <= set("0123456789abcdef"):
+        recorded = lazy.replay.read(path)
         if command.race is not None:
             raise ReplayError(f"{path} is one race: give --race with the number of a league's heat")
-        return lazy.replay.read(path)
+        return recorded
     race = 1 if command.race is None else command.race
     with command.opened() as store:
         record = store.heat(name)
