@@ -18,6 +18,7 @@ WORDS = (
     r"whose",
     r"told(?!\")",
     r"(?<!--)(?<!\")(?<!/)tutor",
+    r"(?:ask|from|of|tell|which) who",
 )
 """Patterns that are matched as whole words, in any case; --tutor and the keys "told" and "tutor"
 are names in older files and scripts, NOBODY is a number."""
@@ -29,6 +30,7 @@ def texts():
     paths = [ROOT / "CONTRIBUTING.md", ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
     for folder in ("league", "benchmarks", "examples"):
         paths += (ROOT / folder).rglob("*.py")
+    paths += (ROOT / "league/web/templates").glob("*.html")
     names = sorted(path.relative_to(ROOT).as_posix() for path in paths)
     names.remove("docs/benchmarks.md")  # generated
     return names

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _WORK = 16_384  # Decisions of usual settings that take 10 to 20 s on two cores.
 _SHORT_MIN, _SHORT_STEPS, _FEW_WORLDS = 2.0, 65_536, 16
 """Budgets up to which a run is short, and its worlds: few, for an update after few decisions."""
-_STEPS_OF_LAPS = 256  # Steps, 17 s, in which who has learnt a little comes round most tracks.
+_STEPS_OF_LAPS = 256  # Steps, 17 s, in which a beginner comes round most tracks.
 
 
 def defaults(command: Train) -> RunConfig:

@@ -253,7 +253,7 @@ def _fastest(group, size, world, rules):
 
 @inner
 def _in_queue(group, world, rules):
-    """Return whether all rivals of a group are slow: who passes one must not run into the next."""
+    """Return whether all rivals of a group are slow: passing one must not end in the next."""
     return uniform_of(world.seed, _QUEUE, world.step, group) < rules.roadblock
 
 

@@ -75,8 +75,8 @@ class Client:
             )
         if not token:
             raise ConfigError(
-                "there is no token: put it into the environment variable LEAGUE_TOKEN; who runs "
-                "the league makes one with `league token create`"
+                "there is no token: put it into the environment variable LEAGUE_TOKEN; the "
+                "league's organiser makes one with `league token create`"
             )
         if not TOKEN.fullmatch(token):
             raise ConfigError(
@@ -170,7 +170,7 @@ class RemoteWeights:
         if heat_spec.digest(content) != digest:
             raise StoreError(
                 f"{self._client.url} sent other weights than {digest[:12]}: try again, and tell "
-                "who runs it"
+                "the league's organiser"
             )
         # A full disk only costs fetching them again.
         with suppress(StoreError), replacing(path, "the weights", StoreError) as file:

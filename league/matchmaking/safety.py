@@ -63,7 +63,7 @@ def rated(drives: Drives, tracks: Sequence[str], earlier: Record | None = None) 
     later = drives.where((drives.track < len(tracks)) & (drives.distance_cm > 0))
     if earlier is None:
         return _rated(later, tracks)
-    # Only who raced since then changes.
+    # Only entries that raced since then change.
     theirs = np.isin(earlier.drives.entry, np.unique(later.entry))
     new = _rated(earlier.drives.where(theirs).joined(later), tracks)
     return Record(

@@ -47,7 +47,7 @@ def judge(before, cars, obstacles, world, verdicts, contacts, points, course, se
 def _progress(old, car, seen, points, course, settings):
     """Find a car's place along the track, how far it came, and whether it is still on the road."""
     if frozen(old):
-        # Who stands still keeps its place: off the inside of a hairpin the search would creep on.
+        # A standing car keeps its place: off the inside of a hairpin the search would creep on.
         seen.advance, seen.off_track = _ZERO, False
         # Counted in whole steps, so that no rounding adds or drops one.
         steps_left = max(f32(np.rint(old.penalty_s * settings.step_hz)) - _ONE, _ZERO)
@@ -183,7 +183,7 @@ def _order(before, cars, world, verdicts, course, settings):
 
 @inner
 def _leader_of_pursuit(cars, leader, settings):
-    """Return who is home first, or else has driven farthest, by a margin over the old leader."""
+    """Return the car that is home first, or leads the old leader by a margin."""
     for c in range(len(cars)):
         first, best = cars[c], cars[leader]
         farther = first.finish_s == best.finish_s and (
@@ -218,7 +218,7 @@ def stop_bots(cars, obstacles, verdicts, settings):
 
 @inner
 def penalise(cars, obstacles, verdicts, points, course, settings):
-    """Apply the race's penalties to one world: who made a mistake is frozen, then goes on.
+    """Apply the race's penalties to one world: a car that made a mistake is frozen, then goes on.
 
     After a crash the car is moved first, behind what it hit and to the other lane, then frozen.
     Off the track, backwards, immobilised or to blame for another car that left the road: frozen
@@ -242,7 +242,7 @@ def penalise(cars, obstacles, verdicts, points, course, settings):
     solid, wanting = 0, 0
     for c in range(len(cars)):
         car, seen = cars[c], verdicts[c]
-        # Who is frozen already, and to blame for a car that leaves the road now, stands longer.
+        # A frozen car that is to blame for one that leaves the road now stands longer.
         car.penalty_s += seen.penalty_s
         if seen.mistake:
             car.put_back = not seen.crashed

@@ -305,7 +305,7 @@ class Run:
     def _complete_card(self, best: Checkpoint, *, clean: bool) -> None:
         """Write into the best policy's card how clean it drives and how fast rivals it holds."""
         results: dict[str, float | None] = {}
-        if clean:  # who stops at the first laps is in a hurry
+        if clean:  # a run that stops at the first laps is in a hurry
             for callback in self._callbacks:
                 callback.racing(f"driving {evaluator.CLEAN_RUNS} runs for the policy's card")
             results["clean_share"] = evaluator.clean_share(self._eval_cfg, best)

@@ -414,7 +414,7 @@ def position_chart(order: Sequence[Mapping[str, Any]], names: Sequence[str]) -> 
     ends = [np.cumsum(by_car[car]) for car in range(len(names))]
     curves = []
     for car, name in enumerate(names):
-        # Ahead of it after a lap is who completed that lap earlier.
+        # Ahead of it after a lap are cars that completed that lap earlier.
         positions = [
             1 + sum(len(other) > lap and other[lap] < end for other in ends)
             for lap, end in enumerate(ends[car])

@@ -155,7 +155,7 @@ class Access:
     def large(
         self, reader: Reader, request: Request, key: Hashable, make: Callable[[], bytes]
     ) -> bytes:
-        """Return a large answer, see Reader.large; who asks is charged for the time of making it.
+        """Return a large answer, see Reader.large; the client is charged for the time of making it.
 
         One that is kept costs nothing. One client alone cannot fill the queue in which all wait.
 
@@ -196,7 +196,7 @@ class Access:
         found = "This token is not known, or has ended" if secret else "This needs a token"
         raise HTTPException(
             401,
-            f"{found}: ask who runs the league for one (`league token create`).",
+            f"{found}: ask the league's organiser for one (`league token create`).",
             {"WWW-Authenticate": "Bearer"},
         )
 

@@ -309,7 +309,7 @@ def _line_up(
     """Return what the grid is sorted by, the smallest first; None where races swap their grids.
 
     In a reverse grid the entry rated best starts last. In a qualifying format whoever has the best
-    lap of all earlier races on the track starts first, and who has none last.
+    lap of all earlier races on the track starts first, and one without a lap last.
     """
     if rules.format == "reverse":
         elo = {one.entry: one.elo for one in roster.contenders}

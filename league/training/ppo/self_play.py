@@ -36,7 +36,7 @@ FIRST_PACE, LEAST_PACE, RANGE = 0.70, 0.60, 0.12
 """Largest top speed of rivals at first and at least, and how far below it the smallest lies."""
 DEAR = 6.0
 """Price of a hard contact at the end of a stage, in its first: more than a pass earns. A light one
-stays cheap: who must not touch at all waits for mistakes."""
+stays cheap: a car that must not touch at all waits for mistakes."""
 SPREAD = 0.5  # Least randomisation of the cars; see TrainConfig.
 Scripted = tuple[tuple[float, tuple[str, ...]], ...]
 FIRST_SCRIPTED: Scripted = (

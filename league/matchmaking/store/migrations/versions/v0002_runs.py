@@ -1,4 +1,4 @@
-"""Races tell who finished and the best laps; results of a dispute can be rejected."""
+"""Races record who finished and the best laps; results of a dispute can be rejected."""
 
 import json
 import zlib
