@@ -289,6 +289,7 @@ def test_what_it_says_is_more_than_a_whole_update_has_driven(league):
         (["--kind", "head_to_head", "--self-play", "--cars", "9"], "--cars is 9: give 2 to 8"),
         (["--dynamics-randomization", "3"], "dynamics_randomization is 3.0: give 0, which is none"),
         (["--threads", "0"], "threads is 0: give 1 to 1024"),
+        (["--sensors"], "--sensors names no sensor: give some, such as stereo64x48, or motion"),
         (["--stop-when-complete", "-1"], "stop_when_complete is -1: give 0, which is never"),
         (["--hyperparameters", "none.json"], "none.json"),
         (["--resume"], "settings.json holds no settings of a run"),
@@ -546,7 +547,7 @@ def test_parse_sensors_reads_cameras_and_lidars():
     one = parse_sensors(("mono32x24",)).camera
     assert one is not None
     assert one.eyes == "mono"
-    assert parse_sensors(()).camera is None
+    assert parse_sensors(("motion",)).camera is None
 
 
 def test_who_asks_for_sac_is_told_that_ppo_trains(tmp_path, capsys):

@@ -38,7 +38,8 @@ Sensors = Carried | Mapping[str, Carried] | Sequence[SensorConfig]
 
 BOTH: tuple[Sensor, ...] = ("stereo", "lidar")  # default sensors of a car
 SENSOR_NAMES = (
-    "stereoWxH, monoWxH, leftWxH, stereo, lidar, sectors, discretised, historyN, framesN, truth"
+    "stereoWxH, monoWxH, leftWxH, stereo, lidar, sectors, discretised, historyN, framesN, motion, "
+    "truth"
 )
 
 
