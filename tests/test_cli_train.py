@@ -547,6 +547,7 @@ def test_parse_sensors_reads_cameras_and_lidars():
     one = parse_sensors(("mono32x24",)).camera
     assert one is not None
     assert one.eyes == "mono"
+    assert parse_sensors(()).camera is None
     assert parse_sensors(("motion",)).camera is None
 
 

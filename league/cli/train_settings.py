@@ -30,6 +30,11 @@ _STEPS_OF_LAPS = 256  # Steps, 17 s, in which a beginner comes round most tracks
 
 def defaults(command: Train) -> RunConfig:
     """Return the settings of which the flags change some: of the resumed run, or of a new one."""
+    if command.sensors == ():
+        raise ConfigError(
+            "--sensors names no sensor: give some, such as stereo64x48, or motion to drive by "
+            "speed and yaw rate alone"
+        )
     cfg = _stored(command) if command.resume else _new(command)
     if command.hyperparameters is None:
         return cfg
@@ -166,8 +171,9 @@ def _with_body(command: Train, train: TrainConfig) -> TrainConfig:
     name = command.cfg.init_from
     if not name:
         space = parse_actions(actions or "0.5-4")
-        own = ("stereo64x48",) if sensor_names is None else sensor_names
-        return replace(train, action_space=space, sensors=parse_sensors(own))
+        return replace(
+            train, action_space=space, sensors=parse_sensors(sensor_names or ("stereo64x48",))
+        )
     parent = checkpoint.load(parent_path(name)).card
     space = parse_actions(actions) if actions else parent.action_space
     sensors = parent.sensors if sensor_names is None else parse_sensors(sensor_names)
@@ -238,11 +244,6 @@ def parse_actions(text: str) -> ActionSpace:
 
 def parse_sensors(names: tuple[str, ...]) -> SensorConfig:
     """Return what a car carries, of `stereo64x48`, `lidar` and such or a model_metadata.json."""
-    if not names:
-        raise ConfigError(
-            "--sensors names no sensor: give some, such as stereo64x48, or motion to drive by "
-            "speed and yaw rate alone"
-        )
     if len(names) == 1 and names[0].endswith(".json"):
         return metadata.read(names[0]).sensors
     return make.sensors_of_car(names)
