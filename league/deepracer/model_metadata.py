@@ -135,11 +135,17 @@ def content(space: ActionSpace, sensors: SensorConfig) -> dict[str, Any]:
             "steering_angle": {"low": space.steering_low, "high": space.steering_high},
             "speed": {"low": space.speed_low, "high": space.speed_high},
         }
-    names = []
+    names, more, scan = [], {}, sensors.lidar
     if sensors.camera is not None:
         names += [name for name, eyes in _CAMERAS.items() if eyes == sensors.camera.eyes][-1:]
-    if sensors.lidar is not None:
-        names.append(_LIDARS[("ranges", "sectors", "discretised").index(sensors.lidar.form)])
+    if scan is not None:
+        names.append(_LIDARS[("ranges", "sectors", "discretised").index(scan.form)])
+        if scan.form == "discretised":
+            more["lidar_config"] = {
+                "num_sectors": scan.sectors,
+                "num_values_per_sector": scan.bins,
+                "clipping_dist": scan.clip,
+            }
     return {
         "action_space": actions,
         "action_space_type": "discrete" if isinstance(space, DiscreteActions) else "continuous",
@@ -147,6 +153,7 @@ def content(space: ActionSpace, sensors: SensorConfig) -> dict[str, Any]:
         "neural_network": NETWORKS[0],
         "training_algorithm": "clipped_ppo",
         "version": "5",
+        **more,
     }
 
 

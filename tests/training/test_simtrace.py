@@ -119,6 +119,13 @@ def test_sensors_are_named_as_the_original_names_them(eyes, form):
     assert (read.sensors.camera.eyes, read.sensors.lidar.form) == (eyes, form)
 
 
+def test_bins_of_the_lidar_are_written_as_the_original_has_them():
+    lidar = LidarConfig(form="discretised", sectors=16, bins=4, clip=1.5)
+    sensors = SensorConfig(camera=CameraConfig(), lidar=lidar)
+    space = DiscreteActions(((0.0, 1.0), (5.0, 1.0)))
+    assert model_metadata.parse(model_metadata.content(space, sensors)).sensors.lidar == lidar
+
+
 def test_evaluations_are_added_to_the_folder(league, tmp_path):
     command = ("evaluate", "centerline", "--laps", "1", "--solver", "planar")
     code, out, _ = league(*command, "--trace", "model", "--track", "reinvent_2018", "peanut")
