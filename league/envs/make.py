@@ -38,8 +38,8 @@ Sensors = Carried | Mapping[str, Carried] | Sequence[SensorConfig]
 
 BOTH: tuple[Sensor, ...] = ("stereo", "lidar")  # default sensors of a car
 SENSOR_NAMES = (
-    "stereoWxH, monoWxH, leftWxH, stereo, lidar, sectors, discretised, historyN, framesN, motion, "
-    "truth"
+    "stereoWxH, monoWxH, leftWxH, stereo, lidar, sectors, discretised, discretisedSxB@D (S sectors "
+    "with B bins up to D metres), historyN, framesN, motion, truth"
 )
 
 
@@ -199,6 +199,9 @@ def _part(sensor: Sensor) -> tuple[str, Any]:
         return "camera", CameraConfig()
     if name in ("lidar", "sectors", "discretised"):
         return "lidar", LidarConfig(form="ranges" if name == "lidar" else name)  # type: ignore
+    if match := re.fullmatch(r"discretised(\d{1,4})x(\d{1,4})@(\d{1,2}(?:\.\d{1,6})?)", name, re.A):
+        size, bins, clip = int(match[1]), int(match[2]), float(match[3])
+        return "lidar", LidarConfig(form="discretised", sectors=size, bins=bins, clip=clip)
     if match := re.fullmatch(r"(history|frames)([0-9]{1,3})", name):
         return match[1], int(match[2])
     raise ConfigError(_no_sensor(sensor))

@@ -26,6 +26,8 @@ SMALL = ("stereo32x24", "lidar")
          SensorConfig(camera=CameraConfig(64, 48, eyes="left"), lidar=LidarConfig(form="sectors"))),
         ("mono32x24", SensorConfig(camera=CameraConfig(32, 24, eyes="mono"))),
         ("discretised", SensorConfig(lidar=LidarConfig(form="discretised"))),
+        ("discretised16x8@1.5",
+         SensorConfig(lidar=LidarConfig(form="discretised", sectors=16, bins=8, clip=1.5))),
         (("stereo", "lidar"), SensorConfig(camera=CameraConfig(), lidar=LidarConfig())),
         ("motion", SensorConfig()),
     ],
