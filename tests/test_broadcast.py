@@ -73,6 +73,11 @@ def test_an_attacker_that_falls_back_was_held_off_and_after_a_pass_nobody_was():
     assert lines[-1].text == "B passes A for the lead"
 
 
+def test_cars_are_side_by_side_before_one_passes_in_the_same_step():
+    lines = told([0.5, -0.1], {1: [event("overtake", 1, 0, step=1)]})
+    assert kinds(lines) == ["side_by_side", "overtake"]
+
+
 def test_a_pass_soon_answered_is_a_pass_back():
     swaps = {3: [event("overtake", 1, 0, step=3)], 9: [event("overtake", 0, 1, step=9)]}
     gaps = [0.6, 0.3, 0.0, -0.3, -0.4, -0.4, -0.3, 0.0, 0.2, 0.3]

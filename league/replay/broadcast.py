@@ -93,13 +93,16 @@ class Commentator:
         """Return what is to be said about one step, which ended at `time_s`."""
         events = tuple(events)
         laps = np.asarray(cars["laps"])
+        # Fights first: cars are side by side before one passes the other in the same step.
         lines = [
+            Remark(time_s, kind, car, 1 + int(laps[car]), text)
+            for kind, car, text in self._about_fights(time_s, cars)
+        ]
+        lines += [
             Remark(event.time_s, kind, car, 1 + int(laps[car]) - (event.kind == "lap"), text)
             for event in events
             for kind, car, text in self._about(event, events, cars)
         ]
-        for kind, car, text in self._about_fights(time_s, cars):
-            lines.append(Remark(time_s, kind, car, 1 + int(laps[car]), text))
         self._before = time_s, {name: np.array(cars[name], np.float64) for name in _MOTION}
         return self._on_laps(lines)
 
