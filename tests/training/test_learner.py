@@ -13,6 +13,7 @@ from league.envs.actions import ContinuousActions
 from league.errors import ConfigError, PolicyError
 from league.sim.config import SensorConfig
 from league.training.ppo.learner import Learner, check_device
+from league.training.ppo.models import CONTRAST, FIRST, with_contrast
 from tests.training.learners import CHOICES, LIDAR, algorithm, learner, same, settings
 
 
@@ -86,6 +87,7 @@ def test_weights_are_averaged_over_a_tenth_of_the_updates(tmp_path):
     for number in range(1, 16):
         made.update(0.0)
         newest = from_learner(algorithm(made).get_policy().state_dict())
+        newest = with_contrast(newest, CONTRAST)  # as a checkpoint has them
         share = 1 / max(number / 10, 1)
         expected = {key: old + share * (newest[key] - old) for key, old in expected.items()}
         assert same(made.weights(), newest) == (number <= 10)
@@ -169,6 +171,36 @@ def test_exploration_and_step_size_fall_with_the_share_of_the_budget():
 def test_a_policy_can_be_begun_from_another_ones_weights():
     one, other = learner(seed=1), learner(seed=2)
     one.load_weights(other.weights())
+    assert same(one.weights(), other.weights())
+
+
+def test_a_checkpoint_has_weights_for_pictures_from_0_to_1():
+    made = learner()
+    learnt = from_learner(algorithm(made).get_policy().state_dict())
+    kept = made.weights()
+    assert np.array_equal(kept[FIRST], CONTRAST * learnt[FIRST])
+    assert same({**kept, FIRST: learnt[FIRST]}, learnt)
+
+
+def test_a_state_of_pictures_from_0_to_1_is_rescaled(tmp_path):
+    one, other, path = learner(save_every=1), learner(save_every=1), tmp_path / "state.pt"
+    one.update(0.0)
+    one.save(path, {})
+    state = torch.load(path, weights_only=True)
+    del state["contrast"]  # as an older version wrote it
+    names = [name for name, _ in algorithm(one).get_policy().named_parameters()]
+    moments = state["optimizer_state_dict"]["state"][names.index(FIRST)]
+    for weights in (state["actor_state_dict"], state["average"]):
+        weights[FIRST] *= CONTRAST
+    moments["exp_avg"] /= CONTRAST
+    moments["exp_avg_sq"] /= CONTRAST**2
+    torch.save(state, path)
+    other.restore(path)
+    one.restart_rows()
+    for made in (one, other):
+        torch.manual_seed(3)
+        made.update(0.5)
+    assert same(everything(one), everything(other))
     assert same(one.weights(), other.weights())
 
 

@@ -22,7 +22,13 @@ from league.errors import ConfigError, PolicyError, brief
 from league.track.track import TrackSet
 from league.training.config import TrainConfig
 from league.training.ppo import distributed, make_env, symmetry
-from league.training.ppo.models import PictureStorage, actor_settings
+from league.training.ppo.models import (
+    CONTRAST,
+    FIRST,
+    PictureStorage,
+    actor_settings,
+    with_contrast,
+)
 from league.training.ppo.statistics import EpisodeStatistics, Moments, RewardNormalization
 
 STATE_FORMAT = 1
@@ -101,7 +107,7 @@ class Learner:
 
         The average drives better than any of those policies (docs/training.md).
         """
-        return network.from_learner(self._average)
+        return with_contrast(network.from_learner(self._average), CONTRAST)
 
     def load_weights(self, weights: Mapping[str, np.ndarray]) -> None:
         """Take the actor's weights from a policy; PolicyError if its layers differ."""
@@ -111,6 +117,7 @@ class Learner:
                 "the policy to start from has other layers, sensors or actions than this run: "
                 "give the run the same, or start a new run"
             )
+        weights = with_contrast(weights, 1.0 / CONTRAST)
         new = {name: torch.from_numpy(value) for name, value in weights.items()}
         self._alg.get_policy().load_state_dict(new, strict=False)  # what a policy lacks stays
         self._begin_average()
@@ -214,7 +221,8 @@ class Learner:
     def _state(self) -> dict[str, Any]:
         counts = {"updates": self.updates, "samples": self.samples}
         average = {"average": self._average, "averaged": self._averaged}
-        return self._alg.save() | counts | average | {"scale": asdict(self._normalization.seen)}
+        scales = {"scale": asdict(self._normalization.seen), "contrast": CONTRAST}
+        return self._alg.save() | counts | average | scales
 
     def _load_state(self, state: dict[str, Any]) -> None:
         self._alg.load(state, None, True)
@@ -224,6 +232,20 @@ class Learner:
         for name, value in state.get("average", {}).items():  # missing in older files
             self._average[name].copy_(value)
         self._averaged = int(state.get("averaged", 0))
+        if "contrast" not in state:
+            self._rescale_first_layer()
+
+    def _rescale_first_layer(self) -> None:
+        """Take over weights, and Adam's moments of them, that an older version's file has."""
+        weight = dict(self._alg.get_policy().named_parameters()).get(FIRST)
+        if weight is None:
+            return
+        moments = self._alg.optimizer.state[weight]
+        with torch.no_grad():
+            for value in (weight, self._average[FIRST]):
+                value.div_(CONTRAST)
+            moments["exp_avg"].mul_(CONTRAST)
+            moments["exp_avg_sq"].mul_(CONTRAST**2)
 
     def _learnt(self) -> dict[str, torch.Tensor]:
         """Return the actor's floating-point state, which goes on changing."""

@@ -1,7 +1,9 @@
 """Parts for rsl-rl: pictures as bytes, and distributions of bounded actions and choices."""
 
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
+from typing import TypeVar
 
+import numpy as np
 import torch
 from rsl_rl.models import CNNModel, MLPModel
 from rsl_rl.modules.distribution import Distribution, GaussianDistribution
@@ -11,6 +13,18 @@ from torch import Tensor, nn
 
 from league.envs.actions import ContinuousActions
 from league.training.config import TrainConfig
+
+CONTRAST = 4.0
+"""Learners see pictures from 0 to 4, so that their brightness varies by about 1: with pictures from
+0 to 1 the first layer learns slowly. A power of two: checkpoints, which have weights for pictures
+from 0 to 1, answer the same bit for bit."""
+FIRST = "cnns.stereo.0.weight"  # the weights that pictures are multiplied by
+Weight = TypeVar("Weight", np.ndarray, Tensor)
+
+
+def with_contrast(weights: Mapping[str, Weight], by: float) -> dict[str, Weight]:
+    """Return an actor's weights, those that pictures are multiplied by scaled."""
+    return {name: weight * by if name == FIRST else weight for name, weight in weights.items()}
 
 
 class ByteCNNModel(CNNModel):
@@ -33,7 +47,9 @@ class ByteCNNModel(CNNModel):
         for group in self.obs_groups_2d:
             picture = obs[group].contiguous(memory_format=torch.channels_last)
             if picture.dtype == torch.uint8:
-                picture = picture.to(torch.float32).div_(255.0)  # in place: it is large
+                picture = picture.to(torch.float32).div_(255.0 / CONTRAST)  # in place: it is large
+            else:
+                picture = picture * CONTRAST
             features.append(self.cnns[group](picture))
         return torch.cat(features, dim=-1)
 
