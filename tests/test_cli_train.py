@@ -435,6 +435,12 @@ def test_racing_looks_farther_ahead_unless_asked_otherwise():
     assert config(*racing, "--gamma", "0.95").train.ppo.gamma == 0.95  # the default of others
 
 
+def test_self_play_has_a_network_large_enough_to_place_other_cars():
+    racing = ("--kind", "head_to_head", "--self-play")
+    assert config(*racing).train.network.hidden == (256, 128)
+    assert config(*racing, "--init-from", "rookie").train.network.hidden == (128,)  # its own
+
+
 def test_self_play_begins_on_the_true_state_for_half_of_the_time():
     racing = ("--kind", "head_to_head", "--self-play")
     assert config(*racing).train.teacher == 0.5

@@ -71,6 +71,8 @@ def _new(command: Train) -> RunConfig:
         if cfg.self_play:
             cfg = replace(cfg, reward="race")
             train = replace(train, teacher=0.0 if cfg.init_from or train.sensors.truth else 0.5)
+            if not cfg.init_from:
+                train = replace(train, network=replace(train.network, hidden=(256, 128)))
     minutes = 0.0 if cfg.steps else cfg.minutes
     return replace(cfg, minutes=minutes, train=replace(train, num_cars=cars, ppo=ppo))
 
