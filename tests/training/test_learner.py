@@ -204,6 +204,19 @@ def test_a_state_of_pictures_from_0_to_1_is_rescaled(tmp_path):
     assert same(one.weights(), other.weights())
 
 
+def test_a_state_of_pictures_from_0_to_1_may_be_of_a_policy_that_has_not_begun(tmp_path):
+    one, other, path = learner(), learner(), tmp_path / "state.pt"
+    one.save(path, {})  # as while a teacher learns
+    state = torch.load(path, weights_only=True)
+    del state["contrast"]
+    for weights in (state["actor_state_dict"], state["average"]):
+        weights[FIRST] *= CONTRAST
+    torch.save(state, path)
+    other.restore(path)
+    assert same(one.weights(), other.weights())
+    other.update(0.0)
+
+
 def test_weights_of_another_shape_are_refused():
     with pytest.raises(PolicyError, match="other layers, sensors or actions"):
         learner().load_weights(learner(sensors=SensorConfig(lidar=LIDAR)).weights())

@@ -240,12 +240,13 @@ class Learner:
         weight = dict(self._alg.get_policy().named_parameters()).get(FIRST)
         if weight is None:
             return
-        moments = self._alg.optimizer.state[weight]
+        moments = self._alg.optimizer.state[weight]  # empty while a teacher learns
         with torch.no_grad():
             for value in (weight, self._average[FIRST]):
                 value.div_(CONTRAST)
-            moments["exp_avg"].mul_(CONTRAST)
-            moments["exp_avg_sq"].mul_(CONTRAST**2)
+            for name, power in ("exp_avg", 1), ("exp_avg_sq", 2):
+                if name in moments:
+                    moments[name].mul_(CONTRAST**power)
 
     def _learnt(self) -> dict[str, torch.Tensor]:
         """Return the actor's floating-point state, which goes on changing."""
