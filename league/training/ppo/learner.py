@@ -232,21 +232,20 @@ class Learner:
         for name, value in state.get("average", {}).items():  # missing in older files
             self._average[name].copy_(value)
         self._averaged = int(state.get("averaged", 0))
-        if "contrast" not in state:
-            self._rescale_first_layer()
+        self._rescale(state.get("contrast", 1.0) / CONTRAST)  # missing in older files
 
-    def _rescale_first_layer(self) -> None:
-        """Take over weights, and Adam's moments of them, that an older version's file has."""
+    def _rescale(self, by: float) -> None:
+        """Scale the weights for pictures, and Adam's moments of them, of another contrast."""
         weight = dict(self._alg.get_policy().named_parameters()).get(FIRST)
-        if weight is None:
+        if weight is None or by == 1.0:
             return
         moments = self._alg.optimizer.state[weight]  # empty while a teacher learns
         with torch.no_grad():
             for value in (weight, self._average[FIRST]):
-                value.div_(CONTRAST)
+                value.mul_(by)
             for name, power in ("exp_avg", 1), ("exp_avg_sq", 2):
                 if name in moments:
-                    moments[name].mul_(CONTRAST**power)
+                    moments[name].div_(by**power)
 
     def _learnt(self) -> dict[str, torch.Tensor]:
         """Return the actor's floating-point state, which goes on changing."""

@@ -23,7 +23,7 @@ Weight = TypeVar("Weight", np.ndarray, Tensor)
 
 
 def with_contrast(weights: Mapping[str, Weight], by: float) -> dict[str, Weight]:
-    """Return an actor's weights, those that pictures are multiplied by scaled."""
+    """Return an actor's weights, of which those for pictures are scaled."""
     return {name: weight * by if name == FIRST else weight for name, weight in weights.items()}
 
 
