@@ -43,7 +43,7 @@ def _device(name: str) -> torch.device:
 class RacingVecEnv(VecEnv):
     """Many worlds, in each some cars that learn and some that drivers drive.
 
-    Row `world * num_learners + k` is the k-th learner of a world. Observation groups: `stereo`
+    Rows are in the order of worlds, and of learners in each world. Observation groups: `stereo`
     float32 in [0, 1] (the bytes over 255, because rsl-rl's networks take floats), `lidar`, `motion`
     and `state`, the truth, meant for the critic; where cars meet in scenarios, `truth`, too. A row
     that has ended is restarted in the same step and observes its new place. Worlds do not affect
@@ -78,7 +78,7 @@ class RacingVecEnv(VecEnv):
             learners: cars that learn, all with the same sensors.
             opponents: driver, or its name, of each other car; without `cfg` by default one follows
                 the centreline in a head_to_head race.
-            guests: drivers of learners' cars in the first worlds; there these cars do not learn.
+            guests: drivers of learners' cars in the first worlds; there these cars have no row.
             action_space: what the rows' actions mean; None: steering and speed in [-1, 1].
             as_bytes: keep pictures as bytes, a quarter of the memory, for networks that scale them.
             seed: makes the worlds' seeds.
@@ -151,14 +151,14 @@ class RacingVecEnv(VecEnv):
             renderers=renderers,
         )
         self._as_bytes = as_bytes
-        self._columns = list(self.learners)
         learning = np.ones((num_worlds, len(self.learners)), np.bool_)
         for car, guest in (guests or {}).items():
             learning[: guest.num_worlds, self.learners.index(car)] = False
-        self.learning = torch.from_numpy(learning.ravel()).to(self.device)
-        """Rows that a learner drives, bool (num_envs,): all but those of guests."""
-        self.num_learning = int(learning.sum())
-        self.num_envs = num_worlds * len(self.learners)
+        self.row_worlds, mine = np.nonzero(learning)
+        self.row_cars = np.array(self.learners)[mine]
+        """World and car of each row, int64 (num_envs,)."""
+        self.num_envs = len(mine)
+        self._learning = slice(None) if learning.all() else np.flatnonzero(learning)
         self.action_space = action_space
         self.num_actions = SIZE if action_space is None else action_space.size
         self.max_episode_length = self._env.longest_episode
@@ -192,7 +192,7 @@ class RacingVecEnv(VecEnv):
     def episode_length_buf(self, steps: Tensor) -> None:  # type: ignore
         """Set the steps; the runner does, so that not all episodes end at the same time."""
         spread = self._env.episode_steps.copy()
-        spread[:, self._columns] = steps.cpu().numpy().reshape(-1, len(self.learners))
+        spread[self.row_worlds, self.row_cars] = steps.cpu().numpy()
         self._env.episode_steps = spread
 
     def get_observations(self) -> TensorDict:
@@ -218,8 +218,8 @@ class RacingVecEnv(VecEnv):
 
         Returns:
             Observations after restarts, rewards (num_envs,), dones (num_envs,) int64, and extras:
-            `time_outs`, rows cut off by the time limit alone; `log`, means over the rows that
-            learn; and `driven`, laps that each row has driven in its episode, before any restart.
+            `time_outs`, rows cut off by the time limit alone; `log`, means over the rows; and
+            `driven`, laps that each row has driven in its episode, before any restart.
 
         Raises:
             ActionError: no tensor of numbers, the wrong shape, NaN or infinity.
@@ -228,14 +228,14 @@ class RacingVecEnv(VecEnv):
         if self.action_space is not None:
             rows = to_actions(self.action_space, rows, self.cfg.sim.car)
         driven = self._env.last_action
-        driven[:, self._columns] = rows.clip(-1.0, 1.0).reshape(-1, len(self.learners), SIZE)
+        driven[self.row_worlds, self.row_cars] = rows.clip(-1.0, 1.0)
         driven = self._opponents.act(driven, self._env.observations)
         step = self._env.step(driven)
         if self.watch is not None:
             self.watch(self._env.world)
         self._opponents.forget(step.began)
         dones = self._rows(step.terminated | step.truncated).to(torch.int64)
-        lengths = self._env.tracks.length[self._env.world.track].repeat(len(self.learners))
+        lengths = self._env.tracks.length[self._env.world.track[self.row_worlds]]
         laps = self._rows(step.verdicts["advance"]) / torch.from_numpy(lengths).to(self.device)
         laps_driven = self._laps_driven + laps
         self._laps_driven = torch.where(dones > 0, 0.0, laps_driven)
@@ -249,13 +249,13 @@ class RacingVecEnv(VecEnv):
 
     def _rows(self, values: np.ndarray) -> Tensor:
         """Return a copy of the learners' values on the rows' device, (num_envs, ...)."""
-        mine = values[:, self._columns].reshape(self.num_envs, *values.shape[2:])
-        return torch.from_numpy(mine).to(self.device)
+        return torch.from_numpy(values[self.row_worlds, self.row_cars]).to(self.device)
 
     def _stacked(self, groups: list[np.ndarray]) -> Tensor:
         """Return one group of all rows: a copy, because the environment overwrites its own."""
-        parts = [torch.from_numpy(group).to(self.device) for group in groups]
-        return torch.stack(parts, dim=1).flatten(0, 1)
+        stacked = np.stack(groups, axis=1)
+        rows = stacked.reshape(-1, *stacked.shape[2:])[self._learning]
+        return torch.from_numpy(rows).to(self.device)
 
     def _log(self, step: Step) -> dict[str, Tensor]:
         seen = step.verdicts
@@ -272,5 +272,4 @@ class RacingVecEnv(VecEnv):
         return log
 
     def _mean(self, values: np.ndarray) -> Tensor:
-        rows = self._rows(values).to(torch.float32)
-        return rows[self.learning].mean() if self.num_learning < len(rows) else rows.mean()
+        return self._rows(values).to(torch.float32).mean()

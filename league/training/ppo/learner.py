@@ -79,7 +79,7 @@ class Learner:
         if cfg.symmetry and symmetry.applies(cfg.sensors, cfg.action_space):
             self._symmetry = symmetry.Symmetry(cfg.sensors, cfg.action_space, cfg.ppo.mini_batches)
             self._alg.symmetry = self._symmetry  # type: ignore
-        self._episodes = EpisodeStatistics(env.num_learning)
+        self._episodes = EpisodeStatistics(env.num_envs)
         self._normalization = RewardNormalization(env.num_envs, cfg.ppo.gamma, cfg.device)
         self.updates = self.samples = 0
         if distributed.count() > 1:
@@ -136,17 +136,12 @@ class Learner:
         self._normalization.synchronize()
         with torch.inference_mode():
             self._alg.compute_returns(self._obs)
-            if self.env.num_learning < self.env.num_envs:
-                # What guests did teaches neither the actor nor the critic.
-                storage, theirs = self._alg.storage, ~self.env.learning
-                storage.advantages[:, theirs] = 0.0
-                storage.returns[:, theirs] = storage.values[:, theirs]
         if self._symmetry is not None:
             self._symmetry.restart()
         with distributed.exchange():
             losses = self._alg.update()
         self.updates += 1
-        self.samples += distributed.count() * self.env.num_learning * self.cfg.ppo.rollout
+        self.samples += distributed.count() * self.env.num_envs * self.cfg.ppo.rollout
         self._averaged += 1
         share = 1.0 / min(max(self._averaged / 10.0, 1.0), AVERAGED)
         for name, value in self._learnt().items():
@@ -268,7 +263,7 @@ class Learner:
         return np.arange(first, first + worlds) % len(self.env.race_env.tracks.tracks)
 
     def _collect(self) -> tuple[float, dict[str, float]]:
-        reward, sums, steps, learning = 0.0, {}, self.cfg.ppo.rollout, self.env.learning
+        reward, sums, steps = 0.0, {}, self.cfg.ppo.rollout
         with torch.inference_mode():
             for _ in range(steps):
                 self._obs, rewards, dones, extras = self.env.step(self._alg.act(self._obs))
@@ -277,9 +272,8 @@ class Learner:
                 bootstrap = self.cfg.ppo.bootstrap_on_failure
                 ends = {"time_outs": dones > 0 if bootstrap else extras["time_outs"]}
                 self._alg.process_env_step(self._obs, normalized, dones, extras | ends)
-                mine = rewards[learning]
-                self._episodes.add(mine, dones[learning], extras["driven"][learning])
-                reward += float(mine.mean())
+                self._episodes.add(rewards, dones, extras["driven"])
+                reward += float(rewards.mean())
                 for name, value in extras["log"].items():
                     sums[name] = sums.get(name, 0.0) + float(value)
         return reward / steps, {name: value / steps for name, value in sums.items()}

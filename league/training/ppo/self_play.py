@@ -165,7 +165,7 @@ class Racer(_OnCurriculum, Teacher):
         last = cfg.num_cars - 1
         guests = {last: scripted_drivers(FIRST_SCRIPTED, tracks, last, cfg.num_worlds)}
         super().__init__(make_env.make(tracks, cfg, guests=guests), cfg)
-        self.curriculum = Curriculum(self.env.num_learning * cfg.ppo.rollout)
+        self.curriculum = Curriculum(self.env.num_envs * cfg.ppo.rollout)
 
     def update(self, share: float) -> Update:
         """Collect one round of steps and learn from it; see Learner."""
