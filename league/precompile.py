@@ -121,7 +121,7 @@ def _sensors() -> None:
     sim, world = SimConfig(kind="head_to_head", num_cars=2), _world()
     suite = SensorSuite(_tracks(), EnvConfig(sim=sim, sensors=carried))
     suite.read(world)
-    for group in ("state", "truth"):
+    for group in ("state", "truth"):  # "ahead" has the loop of "truth"
         suite.computed(group, world)
     referee.running_order(world.cars, False)
 

@@ -80,8 +80,7 @@ def group_shapes(sensors: SensorConfig) -> dict[str, tuple[int, ...]]:
         shapes["lidar"] = (sensors.lidar.size,)
     if sensors.history:
         shapes["history"] = (history_size(sensors),)
-    if sensors.truth:
-        shapes["truth"] = (TRUTH_SIZE,)
+    shapes |= dict.fromkeys(sensors.privileged, (TRUTH_SIZE,))
     shapes["motion"] = (len(MOTION_FIELDS),)
     return shapes
 

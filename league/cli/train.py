@@ -64,8 +64,9 @@ class Train:
     --init-from, or else 0.5-4."""
     sensors: Annotated[Unset[tuple[str, ...] | None], tyro.conf.arg(metavar="SENSOR ...")] = None
     """stereoWxH, monoWxH, leftWxH, lidar, sectors, discretised, discretisedSxB@D (S sectors with B
-    bins up to D metres), historyN, framesN, motion, truth; or a model_metadata.json. By default
-    what --init-from or the model_metadata.json of --action-space has, or else stereo64x48."""
+    bins up to D metres), historyN, framesN, motion, truth, ahead; or a model_metadata.json. By
+    default what --init-from or the model_metadata.json of --action-space has, or else
+    stereo64x48."""
     hyperparameters: Unset[Path | None] = None
     """A hyperparameters.json with DeepRacer's names; flags take precedence."""
     resume: bool = False

@@ -39,7 +39,7 @@ Sensors = Carried | Mapping[str, Carried] | Sequence[SensorConfig]
 BOTH: tuple[Sensor, ...] = ("stereo", "lidar")  # default sensors of a car
 SENSOR_NAMES = (
     "stereoWxH, monoWxH, leftWxH, stereo, lidar, sectors, discretised, discretisedSxB@D (S sectors "
-    "with B bins up to D metres), historyN, framesN, motion, truth"
+    "with B bins up to D metres), historyN, framesN, motion, truth, ahead"
 )
 
 
@@ -179,12 +179,14 @@ def sensors_of_car(sensors: Carried) -> SensorConfig:
         sensors = (sensors,)
     if not isinstance(sensors, Sequence):
         raise ConfigError(_no_sensor(sensors))
-    parts = [_part(sensor) for sensor in sensors if sensor not in (None, "motion", "truth")]
+    parts = [
+        _part(sensor) for sensor in sensors if sensor not in (None, "motion", "truth", "ahead")
+    ]
     if len(dict(parts)) < len(parts):
         raise ConfigError(
             f"the sensors {brief(sensors)} hold two of a kind: give one camera and one lidar"
         )
-    return SensorConfig(**dict(parts), truth="truth" in sensors)
+    return SensorConfig(**dict(parts), truth="truth" in sensors, ahead="ahead" in sensors)
 
 
 def _part(sensor: Sensor) -> tuple[str, Any]:

@@ -90,17 +90,18 @@ def _state(c, cars, obstacles, points, course, out):
 
 
 @inner
-def _nearest(c, cars, with_ghosts, course):
+def _nearest(c, cars, with_ghosts, behind, course):
     """Return keys of the three nearest cars along the track, nearest first, or _NONE.
 
+    Cars farther behind than `behind` [m] are left out, as are ghosts where they do not count.
     A key is a distance with the car's number in its three lowest bits: positive floats are ordered
     as their bits are, and whole numbers are sorted without branches.
     """
     first = second = third = _NONE
     for other in range(len(cars)):
-        if other != c and (with_ghosts or not cars[other].ghost):
-            away = abs(signed_gap(course, cars[other].s, cars[c].s))
-            key = np.int64(f32(away).view(np.int32)) << 3 | other
+        gap = signed_gap(course, cars[other].s, cars[c].s)
+        if other != c and gap >= -behind and (with_ghosts or not cars[other].ghost):
+            key = np.int64(f32(abs(gap)).view(np.int32)) << 3 | other
             first, key = min(first, key), max(first, key)
             second, key = min(second, key), max(second, key)
             third = min(third, key)
@@ -121,7 +122,7 @@ def _next(car, obstacles, taken, reach, course):
 
 @inner
 def _neighbours(c, cars, points, course, out):
-    first, second, third = _nearest(c, cars, True, course)
+    first, second, third = _nearest(c, cars, True, _INFINITE, course)
     for rank in range(NEIGHBOURS):
         chosen, first, second, third = first, second, third, _NONE
         at = _FIRST_CAR + 5 * rank
@@ -148,7 +149,7 @@ def _obstacles(car, obstacles, course, out):
             out[at], out[at + 1], out[at + 2] = _ONE, gap, obstacles[chosen].lateral
 
 
-# The `truth` group --------------------------------------------------------------------------
+# The `truth` and `ahead` groups -------------------------------------------------------------
 #
 # Unlike `state` it is made for networks: places of others in the car's own frame, nothing that
 # depends on where along the lap the car is, and zeros for what is farther than REACH.
@@ -158,6 +159,9 @@ CURVES = (0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 1.6, 2.0, 2.5, 3.0, 4.0, 5.0)
 BORDERS = (1.0, 2.0)  # distances ahead at which the borders are given [m]
 RIVALS, THINGS = 3, 2
 """Nearest other cars and obstacles that are given; cars that cannot collide now are not."""
+BEHIND = 0.25
+"""Of `ahead` cars farther behind than this are left out [m]: a camera does not see them, and the
+rules demand no room from the car in front."""
 REACH = 4.0
 """Distance along the track beyond which they are not [m]. Scenarios end when cars are somewhat
 farther apart, so that a network has learnt what follows."""
@@ -194,17 +198,20 @@ _REACH = f32(REACH)
 
 
 @compiled
-def truths(first, last, cars, obstacles, worlds, points, courses, out):
-    """Write the `truth` groups, float32 (num_cars, num_worlds, TRUTH_SIZE); return 0."""
+def truths(first, last, cars, obstacles, worlds, points, courses, out, behind):
+    """Write the `truth` groups, float32 (num_cars, num_worlds, TRUTH_SIZE); return 0.
+
+    Cars farther behind than `behind` [m] are left out.
+    """
     for w in range(first, last):
         course = courses[worlds[w].track]
         for c in range(cars.shape[1]):
-            _truth(c, cars[w], obstacles[w], points, course, out[c, w])
+            _truth(c, cars[w], obstacles[w], points, course, out[c, w], behind)
     return 0
 
 
 @inner
-def _truth(c, cars, obstacles, points, course, out):
+def _truth(c, cars, obstacles, points, course, out, behind):
     car = cars[c]
     frame = frame_at(points, course, car.s)
     sin, cos = sincos(car.yaw)
@@ -221,14 +228,14 @@ def _truth(c, cars, obstacles, points, course, out):
         out[_FIRST_BORDER + 2 * k], out[_FIRST_BORDER + 2 * k + 1] = there.left, there.right
     for k in range(_FIRST_RIVAL, len(out)):
         out[k] = _ZERO
-    _rivals(c, cars, course, sin, cos, out)
+    _rivals(c, cars, course, sin, cos, out, behind)
     _things(car, obstacles, course, sin, cos, out)
 
 
 @inner
-def _rivals(c, cars, course, sin, cos, out):
+def _rivals(c, cars, course, sin, cos, out, behind):
     car = cars[c]
-    first, second, third = _nearest(c, cars, False, course)
+    first, second, third = _nearest(c, cars, False, behind, course)
     for rank in range(RIVALS):
         chosen, first, second, third = first, second, third, _NONE
         if chosen == _NONE:

@@ -11,6 +11,7 @@ import numpy as np
 from league.envs import observations, state
 from league.envs.config import EnvConfig
 from league.envs.step import worlds_per_thread
+from league.portable_math import f32
 from league.sim.config import FRAME_STEPS, CameraConfig
 from league.sim.records import NOBODY, World
 from league.threads import shared_out
@@ -20,17 +21,18 @@ if TYPE_CHECKING:  # OpenCV comes late
     from league.sim.camera.renderer import Renderer
 
 Reading = Callable[[World, int, np.ndarray | None], np.ndarray]
-_COMPUTED: dict[str, tuple[Callable[..., int], int]] = {
-    "state": (observations.states, state.SIZE),
-    "truth": (observations.truths, observations.TRUTH_SIZE),
+_COMPUTED: dict[str, tuple[Callable[..., int], int, tuple[f32, ...]]] = {
+    "state": (observations.states, state.SIZE, ()),
+    "truth": (observations.truths, observations.TRUTH_SIZE, (f32(np.inf),)),
+    "ahead": (observations.truths, observations.TRUTH_SIZE, (f32(observations.BEHIND),)),
 }
-"""Loop and size of the groups that are computed on access."""
+"""Loop, size and settings of the groups that are computed on access."""
 
 
 class Groups(Mapping[str, np.ndarray]):
-    """One car's groups; `state` and `truth` are computed on access, as few policies use them.
+    """One car's groups; those of the true state are computed on access, as few policies use them.
 
-    `truth` is always there, and listed where the car carries it.
+    `truth` and `ahead` are always there, and listed where the car carries them.
     """
 
     def __init__(self, suite: SensorSuite, car: int, world: World, motions: np.ndarray) -> None:
@@ -45,8 +47,9 @@ class Groups(Mapping[str, np.ndarray]):
         return self._suite.held[self._car][name]
 
     def __iter__(self) -> Iterator[str]:
-        truth = ("truth",) if self._suite.sees_truth[self._car] else ()
-        return iter((*self._suite.held[self._car], *truth, "motion", "state"))
+        return iter(
+            (*self._suite.held[self._car], *self._suite.privileged[self._car], "motion", "state")
+        )
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
@@ -77,7 +80,7 @@ class SensorSuite:
         late = [hz < cfg.sim.step_hz for own in self._sensors for hz, _ in own.values()]
         self.remembers = any(late) or any(self._history) or max(self._frames) > 1
         """Whether any car is given readings of an earlier step."""
-        self.sees_truth = [cfg.sensors_of(car).truth for car in range(cfg.sim.num_cars)]
+        self.privileged = [cfg.sensors_of(car).privileged for car in range(cfg.sim.num_cars)]
         self._computed: dict[str, np.ndarray] = {}
         self._fresh: set[str] = set()
         self.reset()
@@ -106,14 +109,14 @@ class SensorSuite:
         return tuple(Groups(self, car, world, motions) for car in range(len(self.held)))
 
     def computed(self, name: str, world: World) -> np.ndarray:
-        """Return `state` or `truth` of all cars, float32 (num_cars, num_worlds, SIZE)."""
-        loop, size = _COMPUTED[name]
+        """Return a computed group of all cars, float32 (num_cars, num_worlds, SIZE)."""
+        loop, size, settings = _COMPUTED[name]
         if name not in self._computed:
             self._computed[name] = np.empty((world.num_cars, world.num_worlds, size), np.float32)
         if name not in self._fresh:
             self._fresh.add(name)
             tables = (self._tracks.points, self._tracks.courses, self._computed[name])
-            arrays = (world.cars, world.obstacles, world.worlds, *tables)
+            arrays = (world.cars, world.obstacles, world.worlds, *tables, *settings)
             shared_out(loop, world.num_worlds, worlds_per_thread(world.num_cars), *arrays)
         return self._computed[name]
 

@@ -129,7 +129,7 @@ def _situations(card: Card) -> list[dict[str, np.ndarray]]:
 
 def check_sensors(sensors: SensorConfig, ruleset: Ruleset) -> None:
     """Refuse sensors (PolicyError) with a mount, lens, rate or scan that is not stock."""
-    if sensors.truth:
+    if sensors.privileged:
         raise PolicyError(
             "this policy is given the true state, which no car can measure: "
             "submit one with cameras or a lidar"
@@ -163,7 +163,7 @@ def identity(policy: Checkpoint) -> str:
     """
     card = policy.card.model_dump(mode="json", include=DRIVING)
     # Settings that came later do not change the id of a policy that does without them.
-    later = {"history": 0, "truth": False, "frames": 1}
+    later = {"history": 0, "truth": False, "ahead": False, "frames": 1}
     card["sensors"] = {
         name: value
         for name, value in card["sensors"].items()

@@ -201,6 +201,8 @@ class SensorConfig(Checked, what="sensor"):
     frames: int = ranged(1, 1, 8)
     # whether it is given the true state, as no real car is; leagues refuse such drivers
     truth: bool = False
+    # the same, without the cars behind; likewise
+    ahead: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -208,6 +210,11 @@ class SensorConfig(Checked, what="sensor"):
             raise ConfigError(
                 f"sensor frames is {self.frames} without a camera: give a camera, or 1"
             )
+
+    @property
+    def privileged(self) -> tuple[str, ...]:
+        """Groups of the true state that it is given."""
+        return tuple(name for name in ("truth", "ahead") if getattr(self, name))
 
     @property
     def picture_shape(self) -> tuple[int, int, int]:

@@ -23,9 +23,9 @@ def env(num_cars: int = 2, tracks: TrackSet = RING, **settings) -> RaceEnv:
     return RaceEnv(tracks, EnvConfig(sim=sim), num_worlds=3)
 
 
-def seen(world: RaceEnv, car: int) -> dict[str, float]:
+def seen(world: RaceEnv, car: int, group: str = "truth") -> dict[str, float]:
     world._sensors._fresh.clear()
-    row = world.observations[car]["truth"][0]
+    row = world.observations[car][group][0]
     return {name: float(row[AT[name]]) for name in observations.TRUTH_FIELDS}
 
 
@@ -58,6 +58,19 @@ def test_a_rival_out_of_reach_is_not_there():
     assert all(value == 0.0 for name, value in found.items() if name.startswith("car_"))
 
 
+def test_of_what_is_ahead_a_car_behind_is_part_only_alongside():
+    world = env(3)
+    stand(RING, world.world.cars[:, 0], 3.0)
+    stand(RING, world.world.cars[:, 1], 3.0 - observations.BEHIND + 0.01)
+    stand(RING, world.world.cars[:, 2], 3.0 - observations.BEHIND - 0.01)
+    found = seen(world, 0, "ahead")
+    assert abs(found["car_0_gap"] + observations.BEHIND - 0.01) < 1e-5
+    assert found["car_1_present"] == 0.0
+    assert seen(world, 0)["car_1_present"] == 1.0
+    # The last car has both others ahead.
+    assert seen(world, 2, "ahead") == seen(world, 2)
+
+
 def test_the_nearest_three_rivals_come_in_order():
     world = env(5)
     for car, s in enumerate((3.0, 4.5, 2.5, 6.0, 6.9)):
@@ -78,13 +91,15 @@ def test_obstacles_ahead_are_given_and_passed_ones_not():
     assert found["obstacle_1_present"] == 0.0
 
 
-def test_it_is_listed_where_the_car_carries_it():
+def test_they_are_listed_where_the_car_carries_them():
     assert sensors_of_car("truth") == SensorConfig(truth=True)
+    assert sensors_of_car(("ahead", "motion")) == SensorConfig(ahead=True)
     sim = SimConfig(kind="head_to_head", num_cars=2)
-    cfg = EnvConfig(sim=sim, sensors=(SensorConfig(truth=True), SensorConfig()))
+    cfg = EnvConfig(sim=sim, sensors=(SensorConfig(truth=True), SensorConfig(ahead=True)))
     world = RaceEnv(RING, cfg)
     assert "truth" in list(world.observations[0])
     assert "truth" not in list(world.observations[1])
+    assert "ahead" in list(world.observations[1])
     assert world.observations[1]["truth"].shape == (1, observations.TRUTH_SIZE)
 
 

@@ -45,9 +45,10 @@ class RacingVecEnv(VecEnv):
 
     Rows are in the order of worlds, and of learners in each world. Observation groups: `stereo`
     float32 in [0, 1] (the bytes over 255, because rsl-rl's networks take floats), `lidar`, `motion`
-    and `state`, the truth, meant for the critic; where cars meet in scenarios, `truth`, too. A row
-    that has ended is restarted in the same step and observes its new place. Worlds do not affect
-    each other's episodes, nor do rows unless they meet in scenarios.
+    and `state`, the truth, meant for the critic; where cars meet in scenarios, `truth` and `ahead`
+    for critics and teachers, too. A row that has ended is restarted in the same step and observes
+    its new place. Worlds do not affect each other's episodes, nor do rows unless they meet in
+    scenarios.
     """
 
     def __init__(
@@ -199,8 +200,9 @@ class RacingVecEnv(VecEnv):
         """Return the rows' observations as they are now, without a step."""
         observed = self._env.observations
         names = dict.fromkeys(observed[self.learners[0]])
-        if self._env.cfg.scenarios is not None:
-            names |= {"truth": None}
+        sensors = self.cfg.sensors_of(self.learners[0])
+        if self.cfg.scenarios is not None and not sensors.privileged:
+            names |= {"truth": None, "ahead": None}
         groups = {
             name: self._stacked([observed[car][name] for car in self.learners]) for name in names
         }

@@ -44,8 +44,8 @@ def observation_space(sensors: SensorConfig, privileged: bool) -> Dict:
         most = max(MOTION_LIMIT, lidar.max_range if lidar is not None else 0.0)
         shape = (observations.history_size(sensors),)
         groups["history"] = Box(-MOTION_LIMIT, most, shape, np.float32)
-    if sensors.truth:
-        groups["truth"] = Box(-STATE_LIMIT, STATE_LIMIT, (observations.TRUTH_SIZE,), np.float32)
+    for name in sensors.privileged:
+        groups[name] = Box(-STATE_LIMIT, STATE_LIMIT, (observations.TRUTH_SIZE,), np.float32)
     size = len(observations.MOTION_FIELDS)
     groups["motion"] = Box(-MOTION_LIMIT, MOTION_LIMIT, (size,), np.float32)
     if privileged:
