@@ -67,6 +67,9 @@ class Scenarios(Checked, what="scenarios"):
     """Least top speed of the other rivals, as a share of the fastest car's."""
     fastest_rival: float = ranged(0.7, 0.0, 1.0)
     """Largest top speed of rivals, likewise; what a curriculum raises."""
+    penalised: float = ranged(0.0, 0.0, 1.0)
+    """Share of cars, other than the attacker, that begin as if for a penalty: they stand on the
+    road or next to it, as ghosts, for up to the seconds of leaving the road."""
     lost: float = ranged(4.5, 0.5, 1000.0)
     """Distance along the track at which the attacker has lost all other cars [m]."""
     shortest: float = ranged(6.0, 0.1, 1e6)

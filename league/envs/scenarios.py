@@ -37,6 +37,7 @@ NO_ATTACK, FAILED, PASSED, CLEAN = 0, 1, 2, 3
 
 _BASE, _KIND, _GROUPS, _ORDER, _LENGTH, _FIRST, _FAST, _SLOW, _WHICH = purposes(221, 230)
 _GAP, _LANE, _PACE, _OWN_PACE, _QUEUE, _QUEUE_PACE, _LEARNER, _SIDE = purposes(231, 239)
+_PENALISED, _PENALTY, _PLACE = purposes(239, 242)
 _ATTEMPTS, _CLEAR = 12, f32(0.8)
 _SIDE_LEAST, _SIDE_MORE, _SIDE_SHIFT, _ROW = f32(0.45), f32(0.2), f32(0.3), f32(1.0)
 _NEAREST_START, _FARTHEST_START, _LANES = f32(0.45), f32(1.8), f32(0.7)
@@ -116,6 +117,10 @@ def begin(encounter, cars, obstacles, world, points, course, sim, rules):
         # Passing a roadblock says nothing about how fast rivals may be.
         least = rules.slowest_rival * cars[encounter.attacker].top_speed
         encounter.attack = gap >= _PARTED and cars[encounter.target].top_speed >= least
+    for c in range(num_cars):
+        if c != encounter.attacker and uniform_of(seed, _PENALISED, step, c) < rules.penalised:
+            _penalise(c, cars, world, points, course, sim)
+            encounter.attack = encounter.attack and c != encounter.target
     seconds = rules.shortest + uniform_of(seed, _LENGTH, step) * (rules.longest_s - rules.shortest)
     encounter.length = np.int64(seconds * sim.step_hz)
     encounter.steps, encounter.dirty = 0, False
@@ -279,6 +284,19 @@ def _top_speed(place, size, world, sim, rules):
         slow = _ROADBLOCK[0] + (_ROADBLOCK[1] - _ROADBLOCK[0]) * slow
         return top * slow * (_ONE + _SPREAD * (_TWO * drawn - _ONE))
     return top * (rules.slowest_rival + (rules.fastest_rival - rules.slowest_rival) * drawn)
+
+
+@inner
+def _penalise(c, cars, world, points, course, sim):
+    """Have a car stand as if for a penalty: on its place, or next to the road on that side."""
+    car, lateral = cars[c], cars[c].lateral
+    off_road = uniform_of(world.seed, _PLACE, world.step, c) < _HALF
+    if off_road:
+        frame = frame_at(points, course, car.s)
+        lateral = frame.left if lateral > _ZERO else -frame.right
+    grid.stand(car, points, course, car.s, lateral)
+    seconds = sim.off_track_penalty_s * uniform_of(world.seed, _PENALTY, world.step, c)
+    car.penalty_s, car.put_back, car.ghost = seconds, off_road, True
 
 
 @inner

@@ -137,6 +137,7 @@ def step(
         if phases & SETTLE:
             if rules.training:
                 if rules.meeting:
+                    referee.release(cars[w], things, verdicts[w], points, course, sim)
                     over = scenarios.judge(
                         encounters[w], cars[w], verdicts[w], outcomes[w], course, sim, rules
                     )

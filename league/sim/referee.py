@@ -239,7 +239,6 @@ def penalise(cars, obstacles, verdicts, points, course, settings):
     if not changing:
         return
     _price(cars, verdicts, settings)
-    solid, wanting = 0, 0
     for c in range(len(cars)):
         car, seen = cars[c], verdicts[c]
         # A frozen car that is to blame for one that leaves the road now stands longer.
@@ -248,6 +247,27 @@ def penalise(cars, obstacles, verdicts, points, course, settings):
             car.put_back = not seen.crashed
         elif seen.forced_off:
             car.penalty_s, car.put_back = settings.step_dt, not _is_moved(seen)
+    _set_ghosts(cars, obstacles, settings)
+
+
+@inner
+def release(cars, obstacles, verdicts, points, course, settings):
+    """Let cars go on after penalties that they began with, in training; see `penalise`."""
+    changing = False
+    for c in range(len(cars)):
+        changing |= cars[c].ghost
+        if verdicts[c].released:
+            grid.release(cars[c], points, course)
+    if changing:
+        _set_ghosts(cars, obstacles, settings)
+
+
+@inner
+def _set_ghosts(cars, obstacles, settings):
+    """Make ghosts of the cars that stand or are home, and solid cars of ghosts that are clear."""
+    solid, wanting = 0, 0
+    for c in range(len(cars)):
+        car = cars[c]
         stays = frozen(car) or car.finish_s != _INFINITE
         if car.ghost and not stays:
             wanting |= 1 << c

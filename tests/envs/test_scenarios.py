@@ -151,6 +151,34 @@ def test_a_car_obeys_its_top_speed():
     assert (env.world.cars["target_speed"][top < FULL] == top[top < FULL]).all()
 
 
+def test_some_cars_stand_as_ghosts_for_a_penalty_and_go_on():
+    env = make(replace(ROLLING, penalised=0.4), num_worlds=400, num_cars=3)
+    cars, now = env.world.cars, env._encounters
+    stands = cars["penalty_s"] > 0.0
+    attackers = np.take_along_axis(stands, now["attacker"][:, None], axis=1)
+    assert not attackers.any()
+    assert stands.mean() == pytest.approx(0.4 * 2 / 3, abs=0.04)
+    assert (cars["ghost"] == stands).all()
+    assert (np.hypot(cars["velocity_x"], cars["velocity_y"])[stands] == 0.0).all()
+    longest = env.cfg.sim.rules.off_track_penalty_s
+    assert longest - 0.3 < cars["penalty_s"].max() <= longest
+    # Half of them stand next to the road, where the ring has its borders.
+    off_road = abs(cars["lateral"]) > 0.39
+    assert off_road[stands].mean() == pytest.approx(0.5, abs=0.1) and not off_road[~stands].any()
+    # A car that stands is no rival to pass.
+    targets = np.take_along_axis(stands, now["target"][:, None], axis=1)[:, 0]
+    assert targets.any() and not now["attack"][targets].any()
+    left, placed = cars["penalty_s"].copy(), off_road & stands
+    ended = np.zeros(400, bool)
+    for _ in range(3):
+        ended |= env.step(drive(env)).began.any(axis=1)
+    still = stands & (left > 0.25) & ~ended[:, None]
+    assert still.any() and env.world.cars["ghost"][still].all()
+    over = placed & (left < 0.15) & ~ended[:, None]
+    assert over.any() and (abs(env.world.cars["lateral"][over]) < 0.25).all()
+    assert not env.world.cars["ghost"][over].all()
+
+
 def test_who_leaves_the_road_ends_the_episodes_of_all():
     env = make(ROLLING, num_worlds=32)
     actions = drive(env, speed=0.0)

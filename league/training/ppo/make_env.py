@@ -86,6 +86,7 @@ def _num_generated(name: str) -> int:
 
 _ENDLESS = 1000  # Laps of a race in training: a mistake or time ends an episode, not the flag.
 LEARNER_ATTACKS = 0.5  # Share of scenarios in which the only car that learns is the fastest around.
+PENALISED = 0.15  # Share of cars that begin as if for a penalty, where sensors see such cars.
 VISUAL_RANDOMIZATION = VisualRandomization(light=0.3, colour=0.15, noise=6.0, blur=0.6)
 
 
@@ -108,7 +109,9 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
     )
     # Cars that start anywhere on a lap hardly ever meet.
     shortest = min(Scenarios.shortest, cfg.episode_s)
-    meeting = Scenarios(shortest=shortest) if cfg.num_cars > 1 else None
+    # The groups `truth` and `ahead` do not tell of ghosts.
+    penalised = 0.0 if cfg.sensors.privileged else PENALISED
+    meeting = Scenarios(shortest=shortest, penalised=penalised) if cfg.num_cars > 1 else None
     return EnvConfig(
         sim=sim,
         solver="planar",
