@@ -70,7 +70,9 @@ def _new(command: Train) -> RunConfig:
         ppo = ppo.racing()
         if cfg.self_play:
             cfg = replace(cfg, reward="race")
-            train = replace(train, teacher=0.0 if cfg.init_from or train.sensors.truth else 0.5)
+            train = replace(
+                train, teacher=0.0 if cfg.init_from or train.sensors.privileged else 0.5
+            )
             if not cfg.init_from:
                 train = replace(train, network=replace(train.network, hidden=(256, 128)))
     minutes = 0.0 if cfg.steps else cfg.minutes
@@ -86,8 +88,10 @@ def finished(command: Train) -> RunConfig:
     line = shlex.join(["league", *sys.argv[1:]])[:2000]
     obstacles = number if train.bots else train.obstacles
     train = replace(train, save_every=_save_every(train), obstacles=obstacles)
-    if cfg.self_play and train.sensors.truth:
+    if cfg.self_play and train.sensors.privileged:
         train = train.on_truth()
+    elif cfg.self_play and train.num_worlds == TrainConfig.num_worlds:  # else a flag says how many
+        train = replace(train, num_worlds=train.num_worlds // train.num_cars)
     return replace(
         cfg,
         name=command.out.stem,
@@ -117,7 +121,7 @@ def _check(cfg: RunConfig) -> None:
         raise ConfigError(
             "--kind head_to_head needs opponents: give either --opponents NAME ... or --self-play"
         )
-    own = cfg.reward.endswith(".py") and not train.sensors.truth
+    own = cfg.reward.endswith(".py") and not train.sensors.privileged
     if cfg.self_play and cfg.reward != "race" and not own:
         raise ConfigError(
             f"--self-play on the true state learns with the reward race, not {cfg.reward}: omit "

@@ -99,7 +99,7 @@ class TrainConfig:
     kind: RaceKind = "time_trial"  # Kind of race.
     num_worlds: int = 64
     """Worlds in the batch; 16 by default in runs of at most 2 minutes or 65,536 decisions, which
-    would have too few updates with more."""
+    would have too few updates with more, and 64 / cars in self-play, where all cars learn."""
     num_cars: Annotated[int, arg(name="cars")] = 1
     """Cars in each world, the learner's included; in self-play 2 by default."""
     seed: int = 0  # Seed of weights, worlds and exploration.
@@ -154,7 +154,8 @@ class TrainConfig:
         ppo = PpoConfig(rollout=32, mini_batches=12)
         return replace(
             self,
-            sensors=SensorConfig(truth=True),
+            # What a camera cannot see helps no policy that learns from this one.
+            sensors=SensorConfig(truth=self.sensors.truth, ahead=not self.sensors.truth),
             network=NetworkConfig(hidden=(128, 128), activation="elu", normalise=True),
             critic_hidden=(128, 128),
             num_worlds=max(_RACING_ROWS // self.num_cars, 1),

@@ -334,7 +334,7 @@ class Run:
         if self.learner.has_learnt:
             checkpoint.save(self.folder / "last.pt", self._checkpoint())
         if isinstance(self.learner, RacingLearner):  # what sees the true state is a policy, too
-            racer = self.learner.racer
+            racer = self.learner.teacher
             changes = {"sensors": racer.cfg.sensors, "network": racer.cfg.network}
             card = self._card(racer.samples).model_copy(update=changes)
             checkpoint.save(self.folder / "truth.pt", Checkpoint(card, racer.weights()))
@@ -403,5 +403,6 @@ def _reward(cfg: RunConfig) -> tuple[Reward | None, RewardCard]:
     from league.deepracer import user_reward
 
     sim = make_env.env_config(cfg.train).sim
-    reward = user_reward(cfg.reward, cfg.train.num_worlds, (0,), sim=sim)
+    cars = range(cfg.train.num_cars if cfg.self_play else 1)
+    reward = user_reward(cfg.reward, cfg.train.num_worlds, cars, sim=sim)
     return reward, RewardCard(name=Path(cfg.reward).stem[:80], sha256=reward.source.digest)

@@ -64,7 +64,7 @@ def algorithm(one: Learner) -> PPO:
 
 
 def teacher_of(one: TaughtLearner) -> Teacher:
-    return one._teacher
+    return one.teacher
 
 
 def lesson_of(one: TaughtLearner):

@@ -62,7 +62,7 @@ def taught(folder: Path) -> dict[str, list[str]]:
     for number in (2, 3):
         later.update(number / UPDATES)
     both = {"taught": made, "taught, resumed": later}
-    return {name: [digest(one), digest(one._teacher)] for name, one in both.items()}
+    return {name: [digest(one), digest(one.teacher)] for name, one in both.items()}
 
 
 def digest(made: Learner) -> str:

@@ -66,7 +66,7 @@ def passed(exam, found):
 def racing(**changes):
     """Return settings of a run of self-play so small that it takes a second."""
     train = small.train(kind="head_to_head", num_cars=2, **changes)
-    return small.cfg(6, train=train, reward="race", self_play=True)
+    return small.cfg(9, train=train, reward="race", self_play=True)
 
 
 @pytest.fixture
@@ -118,11 +118,21 @@ def test_self_play_goes_from_the_true_state_to_its_own_sensors(tmp_path, small_r
     taught = [TEACHING in row.log for row in run.history.updates]
     assert any(taught) and not all(taught)
     assert checkpoint.load(outcome.best).card.sensors == small.CAMERA
-    assert checkpoint.load(tmp_path / "truth.pt").card.sensors.truth
-    # The racer drives both cars, and then the other one.
+    assert checkpoint.load(tmp_path / "truth.pt").card.sensors.privileged == ("ahead",)
+    # All cars learn in either stage.
     learner = run.learner
     assert isinstance(learner, RacingLearner)
-    assert learner.env.learners == (0,) and learner.racer.env.learners == (0, 1)
+    assert learner.env.learners == learner.teacher.env.learners == (0, 1)
+
+
+def test_a_reward_file_pays_all_cars_in_self_play(tmp_path, small_racer):
+    file = tmp_path / "one.py"
+    file.write_text("def reward_function(params):\n    return 1.0\n")
+    cfg = replace(racing(sensors=small.CAMERA, teacher=0.5), reward=str(file))
+    run = small.run(tmp_path, cfg)
+    run.learn()
+    # All but cars that stand for a penalty.
+    assert 0.8 < run.history.updates[-1].reward <= 1.0
 
 
 def test_who_learns_to_race_others_is_judged_by_racing_them(tmp_path, monkeypatch):

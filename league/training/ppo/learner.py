@@ -127,7 +127,11 @@ class Learner:
 
         The first rank's `share` of the budget that is used up, 0 to 1, sets the schedules.
         """
-        self._schedule(distributed.agreed(share))
+        return self._learn(distributed.agreed(share))
+
+    def _learn(self, share: float) -> Update:
+        """Collect and learn at a share of this learner's stage."""
+        self._schedule(share)
         self._alg.train_mode()
         started = time.perf_counter()
         with distributed.failing_together():

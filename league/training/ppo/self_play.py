@@ -1,27 +1,21 @@
 """Learning to race on the true state: one network drives all cars of many worlds.
 
-A network that sees the true state (`truth`) decides 20 times as often in the same time as one
-that sees pictures, so passing is learnt here, and cameras learn from it (teacher.py). What makes it
+A network that sees the true state decides 20 times as often in the same time as one that sees
+pictures, so passing is learnt here, and cameras learn from it (teacher.py). What makes it
 possible: a contact costs little at first and ends nothing, closing speed costs much, and the pace
 of the rivals follows success. docs/self_play.md has the measurements.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-import torch
-from tensordict import TensorDict
-
 from league.agents import roster
-from league.envs.actions import to_actions
-from league.envs.driver import Driver, Guests
+from league.envs.driver import Guests
 from league.envs.race_env import RaceEnv
 from league.envs.rewards import PRESETS, Reward
-from league.sim.config import CarConfig, SensorConfig
+from league.sim.config import CarConfig
 from league.track.track import TrackSet
 from league.training.config import TrainConfig
 from league.training.ppo import make_env
@@ -38,21 +32,9 @@ DEAR = 6.0
 """Price of a hard contact at the end of a stage, in its first: more than a pass earns. A light one
 stays cheap: a car that must not touch at all waits for mistakes."""
 SPREAD = 0.5  # Least randomisation of the cars; see TrainConfig.
-Scripted = tuple[tuple[float, tuple[str, ...]], ...]
-FIRST_SCRIPTED: Scripted = (
-    (0.25, ("racing_line",)),
-    (0.125, ("centerline",)),
-    (0.125, ("cautious",)),
-    (0.125, ("blocker",)),
-)
-"""Shares of the worlds of the first stage in which scripted drivers have the last car. As being hit
-costs, too, cars learn to make way, and to rely on it; scripted drivers never make way."""
-SCRIPTED: Scripted = (
-    (0.25, ("centerline",)),
-    (0.125, ("racing_line", "cautious", "blocker")),
-)
-"""The same of the worlds of a policy with its own sensors, where the other cars have these in turn.
-The racer drives slow cars well; others brake for bends and keep to lines of their own."""
+SCRIPTED = {"racing_line": 0.25, "centerline": 0.125, "cautious": 0.125, "blocker": 0.125}
+"""Shares of the worlds in which scripted drivers have the last car. As being hit costs, too, cars
+learn to make way, and to rely on it; scripted drivers never make way."""
 CAR = CarConfig()  # All cars in training.
 _LATELY = 100.0  # Attacks after which what is known about earlier ones counts half.
 
@@ -107,45 +89,33 @@ class Curriculum:
             setattr(self, name, float(state[name]))
 
 
-class Rival:
-    """A Driver of another car of a camera driver's worlds: the racer as it is now.
-
-    In the first worlds a scripted driver has the car.
-    """
-
-    sensors = SensorConfig(truth=True)
-
-    def __init__(self, racer: Racer, scripted: Guests) -> None:
-        """Take the racer, which goes on learning, and the scripted drivers of this car."""
-        self.name, self._racer, self._scripted = "racer", racer, scripted
-
-    def reset(self, rows: np.ndarray | None) -> None:
-        """Clear the scripted drivers' memory of some worlds; the racer remembers nothing."""
-        self._scripted.reset(rows)
-
-    def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return actions [steering, speed] in [-1, 1], float32 (num_worlds, 2)."""
-        groups = {name: torch.from_numpy(observations[name].copy()) for name in Racer.groups}
-        answer = self._racer.targets(TensorDict(groups, batch_size=[len(groups["motion"])]))
-        actions = to_actions(self._racer.cfg.action_space, answer.numpy(), CAR)
-        self._scripted.drive(actions, observations)
-        return actions
-
-
-def scripted_drivers(scripted: Scripted, tracks: TrackSet, car: int, num_worlds: int) -> Guests:
-    """Load the scripted drivers of a car; none on several tracks, because each knows one."""
-    return Guests(
-        [
-            (round(share * num_worlds), roster.load(names[(car - 1) % len(names)], tracks, CAR))
-            for share, names in (scripted if len(tracks.tracks) == 1 else ())
-        ]
-    )
+def scripted_drivers(tracks: TrackSet, num_worlds: int) -> Guests:
+    """Load the scripted drivers of one car; none on several tracks, because each knows one."""
+    drivers = SCRIPTED.items() if len(tracks.tracks) == 1 else ()
+    loaded = [
+        (round(share * num_worlds), roster.load(name, tracks, CAR)) for name, share in drivers
+    ]
+    return Guests(loaded)
 
 
 class _OnCurriculum(Learner):
-    """A learner that saves its curriculum, and resumes with it."""
+    """A learner of all cars, among rivals as fast as it can pass."""
 
-    curriculum: Curriculum
+    def __init__(
+        self,
+        tracks: TrackSet,
+        cfg: TrainConfig,
+        *teacher: Teacher,
+        reward: Reward | None = None,
+    ) -> None:
+        """Build worlds, networks and storage; the teacher, if any, learns in worlds of its own."""
+        guests = {cfg.num_cars - 1: scripted_drivers(tracks, cfg.num_worlds)}
+        super().__init__(make_env.make(tracks, cfg, guests=guests, reward=reward), cfg, *teacher)
+        self.curriculum = Curriculum(self.env.num_envs * cfg.ppo.rollout)
+
+    def _learn(self, share: float) -> Update:
+        self.curriculum.prepare(self.env.race_env, share)
+        return self.curriculum.add(super()._learn(share), share)
 
     def _state(self) -> dict[str, Any]:
         return super()._state() | {"curriculum": self.curriculum.state()}
@@ -156,44 +126,16 @@ class _OnCurriculum(Learner):
 
 
 class Racer(_OnCurriculum, Teacher):
-    """PPO learner of all cars, with a curriculum."""
-
-    groups = ("truth", "motion")
+    """PPO learner that sees the true state."""
 
     def __init__(self, tracks: TrackSet, cfg: TrainConfig) -> None:
-        """Build its worlds and networks, of settings that `TrainConfig.on_truth` returned."""
-        last = cfg.num_cars - 1
-        guests = {last: scripted_drivers(FIRST_SCRIPTED, tracks, last, cfg.num_worlds)}
-        super().__init__(make_env.make(tracks, cfg, guests=guests), cfg)
-        self.curriculum = Curriculum(self.env.num_envs * cfg.ppo.rollout)
-
-    def update(self, share: float) -> Update:
-        """Collect one round of steps and learn from it; see Learner."""
-        self.curriculum.prepare(self.env.race_env, share)
-        return self.curriculum.add(super().update(share), share)
+        """Build worlds and networks, of settings that `TrainConfig.on_truth` returned."""
+        self.groups = (*cfg.sensors.privileged, "motion")
+        super().__init__(tracks, cfg)
 
 
 class RacingLearner(_OnCurriculum, TaughtLearner):
-    """A learner with its own sensors, which learns to race from a racer, and then against it."""
-
-    def __init__(self, tracks: TrackSet, cfg: TrainConfig, racer: Racer, **settings: Any) -> None:  # noqa: ANN401
-        """Build the worlds, in which the racer drives the other cars, networks and storage.
-
-        The racer learns in worlds of its own; `settings` are those of make_env.make.
-        """
-        rivals: dict[int, Driver | str] = {
-            car: Rival(racer, scripted_drivers(SCRIPTED, tracks, car, cfg.num_worlds))
-            for car in range(1, cfg.num_cars)
-        }
-        env = make_env.make(tracks, cfg, opponents=rivals, **settings)
-        super().__init__(env, cfg, racer)
-        self.racer = racer  # The network that sees the true state.
-        self.curriculum = Curriculum(self.env.num_envs * cfg.ppo.rollout)
-
-    def _learn(self, share: float) -> Update:
-        """Collect and learn at a share of its own stage, with rivals as fast as it can pass."""
-        self.curriculum.prepare(self.env.race_env, share)
-        return self.curriculum.add(super()._learn(share), share)
+    """A learner with its own sensors, which learns to race from a Racer, and against itself."""
 
 
 def make_racing(tracks: TrackSet, cfg: TrainConfig, *, reward: Reward | None = None) -> Learner:
@@ -205,6 +147,6 @@ def make_racing(tracks: TrackSet, cfg: TrainConfig, *, reward: Reward | None = N
     spread = max(cfg.dynamics_randomization, SPREAD)
     cfg = replace(cfg, reward=PRESETS["race"], dynamics_randomization=spread)
     racer = Racer(tracks, cfg.on_truth())
-    if cfg.sensors.truth:
+    if cfg.sensors.privileged:
         return racer
     return RacingLearner(tracks, cfg, racer, reward=reward)

@@ -49,7 +49,7 @@ def teacher_config(cfg: TrainConfig) -> TrainConfig:
 class Teacher(Learner):
     """PPO learner with the privileged state, else seen by the critic alone, as observation."""
 
-    groups = ("state", "motion")  # Its observation groups, and its critic's.
+    groups: tuple[str, ...] = ("state", "motion")  # Its observation groups, and its critic's.
 
     def targets(self, observations: TensorDict) -> Tensor:
         """Return its actions, or log probabilities of choices, without gradients."""
@@ -76,7 +76,7 @@ class TaughtLearner(Learner):
 
     def __init__(self, env: RacingVecEnv, cfg: TrainConfig, teacher: Teacher) -> None:
         """Build networks and storage; the teacher drives in worlds of its own."""
-        self._teacher = teacher
+        self.teacher = teacher
         first, last = cfg.ppo.noise
         super().__init__(env, cfg.with_ppo(noise=(max(NOISE_SHARE * first, last), last)))
         self._lesson = _Lesson(self._symmetry, teacher, cfg)
@@ -85,29 +85,29 @@ class TaughtLearner(Learner):
     @property
     def has_learnt(self) -> bool:
         """Whether the teacher's time is over."""
-        return self.updates > self._teacher.updates
+        return self.updates > self.teacher.updates
 
     @property
     def episodes(self) -> EpisodeStatistics:
         """Statistics of the last episodes of the one that learns."""
-        return super().episodes if self.has_learnt else self._teacher.episodes
+        return super().episodes if self.has_learnt else self.teacher.episodes
 
     @property
     def shown(self) -> tuple[RacingVecEnv, ...]:
         """The worlds of both."""
-        return (self.env, self._teacher.env)
+        return (self.env, self.teacher.env)
 
     def update(self, share: float) -> Update:
         """Update the teacher, or the policy; see Learner."""
         share, until = distributed.agreed(share), self.cfg.teacher
         if share < until and not self.has_learnt:
             try:
-                update = self._teacher.update(share / until)
+                update = self.teacher.update(share / until)
             finally:  # Ctrl-C may come after it has counted
-                self.updates, self.samples = self._teacher.updates, self._teacher.samples
+                self.updates, self.samples = self.teacher.updates, self.teacher.samples
             return replace(update, log=update.log | {TEACHING: 1.0})
         if not self.has_learnt:
-            self._teacher.load_weights(self._teacher.weights())  # their average teaches
+            self.teacher.load_weights(self.teacher.weights())  # their average teaches
             super().restart_rows()  # as after a resume from here
         done = max(share - until, 0.0) / (1.0 - until)
         self._lesson.weight = max(0.0, 1.0 - done)
@@ -115,23 +115,19 @@ class TaughtLearner(Learner):
         losses = {"advice" if name == "symmetry" else name: v for name, v in update.losses.items()}
         return replace(update, losses=losses)
 
-    def _learn(self, share: float) -> Update:
-        """Collect and learn at a share of the policy's own stage."""
-        return super().update(share)
-
     def restart_rows(self) -> None:
         """Restart all episodes of the one that learns."""
         if not self.has_learnt:
-            self._teacher.restart_rows()
+            self.teacher.restart_rows()
         super().restart_rows()
 
     def _state(self) -> dict[str, Any]:
-        return super()._state() | {"teacher": self._teacher._state()}
+        return super()._state() | {"teacher": self.teacher._state()}
 
     def _load_state(self, state: dict[str, Any]) -> None:
         super()._load_state(state)
         # "tutor" in files of older versions.
-        self._teacher._load_state(state["teacher" if "teacher" in state else "tutor"])
+        self.teacher._load_state(state["teacher" if "teacher" in state else "tutor"])
 
 
 class _Lesson:
