@@ -279,7 +279,7 @@ class RaceEnv:
         if self.cfg.mode == "race":
             self._sensors.refresh_after(self._verdicts)
         else:
-            self._sensors.refresh(self._outcomes["began"])
+            self._sensors.refresh(self._outcomes["began"] | self._verdicts["released"])
         if restart is not None and seeds is not None and restart.any():
             self._restart(restart, np.asarray(seeds, np.int64))
         self._sensors.observe(self._world)

@@ -11,7 +11,7 @@ from league.envs import scenarios
 from league.envs.config import EnvConfig, Scenarios
 from league.envs.race_env import RaceEnv
 from league.errors import ConfigError
-from league.sim.config import ObstacleConfig, SimConfig
+from league.sim.config import ObstacleConfig, SensorConfig, SimConfig
 from league.track.track import TrackSet
 from tests.scenes import make_ring, stand
 
@@ -177,6 +177,25 @@ def test_some_cars_stand_as_ghosts_for_a_penalty_and_go_on():
     over = placed & (left < 0.15) & ~ended[:, None]
     assert over.any() and (abs(env.world.cars["lateral"][over]) < 0.25).all()
     assert not env.world.cars["ghost"][over].all()
+
+
+def test_a_car_remembers_nothing_from_before_its_release():
+    sim = SimConfig(kind="head_to_head", num_cars=2)
+    how = replace(ROLLING, penalised=1.0)
+    cfg = EnvConfig(
+        sim=sim, sensors=(SensorConfig(history=2),), mode="training", scenarios=how, episode_s=18.0
+    )
+    env = RaceEnv(RING, cfg, num_worlds=100, seed=3)
+    released = 0
+    for _ in range(20):
+        step = env.step(np.full((100, 2, 2), 0.5, np.float32))
+        fresh = step.verdicts["released"] & ~step.began
+        for car in range(2):
+            rows = np.flatnonzero(fresh[:, car])
+            memory = env.observations[car]["history"][rows].reshape(-1, 2, 5)
+            assert (memory == env.observations[car]["motion"][rows][:, None]).all()
+            released += len(rows)
+    assert released > 5
 
 
 def test_who_leaves_the_road_ends_the_episodes_of_all():
