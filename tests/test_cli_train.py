@@ -429,6 +429,14 @@ def test_self_play_is_among_two_cars_or_as_many_as_are_asked_for():
     assert config(*racing, "--opponents", "centerline", "rookie").train.num_cars == 3
 
 
+def test_self_play_has_as_many_learning_cars_as_other_runs_have_worlds():
+    racing = ("--kind", "head_to_head", "--self-play")
+    assert config(*racing).train.num_worlds == 32
+    assert config(*racing, "--cars", "4").train.num_worlds == 16
+    assert config(*racing, "--cars", "4", "--num-worlds", "8").train.num_worlds == 8
+    assert config("--kind", "head_to_head", "--opponents", "rookie").train.num_worlds == 64
+
+
 def test_racing_looks_farther_ahead_unless_asked_otherwise():
     racing = ("--kind", "head_to_head", "--self-play")
     assert config(*racing).train.ppo.gamma == 0.987

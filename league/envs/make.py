@@ -15,6 +15,7 @@ from league.envs.rewards import RACING_LINE, Reward, preset
 from league.errors import ConfigError, TrackError, brief, nearest_names
 from league.race_spec import remark_on
 from league.sim.config import (
+    PRIVILEGED,
     CameraConfig,
     LidarConfig,
     ObstacleConfig,
@@ -179,14 +180,13 @@ def sensors_of_car(sensors: Carried) -> SensorConfig:
         sensors = (sensors,)
     if not isinstance(sensors, Sequence):
         raise ConfigError(_no_sensor(sensors))
-    parts = [
-        _part(sensor) for sensor in sensors if sensor not in (None, "motion", "truth", "ahead")
-    ]
+    without_parts = (None, "motion", *PRIVILEGED)
+    parts = [_part(sensor) for sensor in sensors if sensor not in without_parts]
     if len(dict(parts)) < len(parts):
         raise ConfigError(
             f"the sensors {brief(sensors)} hold two of a kind: give one camera and one lidar"
         )
-    return SensorConfig(**dict(parts), truth="truth" in sensors, ahead="ahead" in sensors)
+    return SensorConfig(**dict(parts), **{name: name in sensors for name in PRIVILEGED})
 
 
 def _part(sensor: Sensor) -> tuple[str, Any]:

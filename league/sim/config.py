@@ -185,6 +185,7 @@ class LidarConfig(Checked, what="lidar"):
         return sizes.get(self.form, self.sectors * self.bins)
 
 
+PRIVILEGED = ("truth", "ahead")  # groups of the true state, which no real car is given
 FRAME_STEPS = 3  # control steps from one of a driver's pictures to the one before: 0.2 s
 
 
@@ -214,7 +215,7 @@ class SensorConfig(Checked, what="sensor"):
     @property
     def privileged(self) -> tuple[str, ...]:
         """Groups of the true state that it is given."""
-        return tuple(name for name in ("truth", "ahead") if getattr(self, name))
+        return tuple(name for name in PRIVILEGED if getattr(self, name))
 
     @property
     def picture_shape(self) -> tuple[int, int, int]:

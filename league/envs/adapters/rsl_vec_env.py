@@ -21,7 +21,7 @@ from league.envs.make import EnvOptions
 from league.envs.race_env import RaceEnv, Step
 from league.envs.scenarios import CLEAN, NO_ATTACK, PASSED
 from league.errors import ConfigError, brief
-from league.sim.config import RaceKind
+from league.sim.config import PRIVILEGED, RaceKind
 from league.sim.records import World
 from league.track.track import Track, TrackSet
 
@@ -159,6 +159,7 @@ class RacingVecEnv(VecEnv):
         self.row_cars = np.array(self.learners)[mine]
         """World and car of each row, int64 (num_envs,)."""
         self.num_envs = len(mine)
+        # Of all pairs of world and learner; a slice copies no picture a second time.
         self._learning = slice(None) if learning.all() else np.flatnonzero(learning)
         self.action_space = action_space
         self.num_actions = SIZE if action_space is None else action_space.size
@@ -202,7 +203,7 @@ class RacingVecEnv(VecEnv):
         names = dict.fromkeys(observed[self.learners[0]])
         sensors = self.cfg.sensors_of(self.learners[0])
         if self.cfg.scenarios is not None and not sensors.privileged:
-            names |= {"truth": None, "ahead": None}
+            names |= dict.fromkeys(PRIVILEGED)
         groups = {
             name: self._stacked([observed[car][name] for car in self.learners]) for name in names
         }

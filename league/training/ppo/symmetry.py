@@ -11,14 +11,10 @@ from torch import Tensor
 from league.envs import state
 from league.envs.actions import ActionSpace
 from league.envs.observations import MOTION_FIELDS, TRUTH_FIELDS
-from league.sim.config import LidarConfig, SensorConfig
+from league.sim.config import PRIVILEGED, LidarConfig, SensorConfig
 
-NUMBERS = {
-    "motion": MOTION_FIELDS,
-    "state": state.FIELDS,
-    "truth": TRUTH_FIELDS,
-    "ahead": TRUTH_FIELDS,
-}
+NUMBERS = {"motion": MOTION_FIELDS, "state": state.FIELDS}
+NUMBERS |= dict.fromkeys(PRIVILEGED, TRUTH_FIELDS)
 """Fields of the groups of named numbers."""
 _SIDEWAYS = ("lateral", "heading_error", "_heading", "speed_left", "yaw_rate", "steering", "_y")
 """Ends of the names of fields that change their sign in the mirror; curvatures do, too."""
