@@ -186,7 +186,7 @@ def sensors_of_car(sensors: Carried) -> SensorConfig:
         raise ConfigError(
             f"the sensors {brief(sensors)} hold two of a kind: give one camera and one lidar"
         )
-    return SensorConfig(**dict(parts), **{name: name in sensors for name in PRIVILEGED})
+    return SensorConfig(**dict(parts), truth="truth" in sensors, ahead="ahead" in sensors)
 
 
 def _part(sensor: Sensor) -> tuple[str, Any]:

@@ -13,8 +13,11 @@ from league.envs.actions import ActionSpace
 from league.envs.observations import MOTION_FIELDS, TRUTH_FIELDS
 from league.sim.config import PRIVILEGED, LidarConfig, SensorConfig
 
-NUMBERS = {"motion": MOTION_FIELDS, "state": state.FIELDS}
-NUMBERS |= dict.fromkeys(PRIVILEGED, TRUTH_FIELDS)
+NUMBERS = {
+    "motion": MOTION_FIELDS,
+    "state": state.FIELDS,
+    **dict.fromkeys(PRIVILEGED, TRUTH_FIELDS),
+}
 """Fields of the groups of named numbers."""
 _SIDEWAYS = ("lateral", "heading_error", "_heading", "speed_left", "yaw_rate", "steering", "_y")
 """Ends of the names of fields that change their sign in the mirror; curvatures do, too."""
