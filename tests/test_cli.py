@@ -307,12 +307,18 @@ main()
 
 
 @pytest.mark.parametrize("module", ["league.errors", "league.cli.commands", "tyro"])
-def test_ctrl_c_while_any_module_is_imported_is_one_sentence(module):
+@pytest.mark.parametrize("within", ["a module", "__set_name__"])
+def test_ctrl_c_while_any_module_is_imported_is_one_sentence(module, within):
     program = f"""
 import sys
+class Attribute:
+    def __set_name__(self, *_):
+        raise KeyboardInterrupt
 class Pressed:
     def find_spec(self, name, *_):
         if name == {module!r}:
+            if {within!r} == "__set_name__":
+                type("Named", (), {{"attribute": Attribute()}})
             raise KeyboardInterrupt
 from league.cli import main
 sys.meta_path.insert(0, Pressed())

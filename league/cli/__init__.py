@@ -9,7 +9,10 @@ def main(arguments: list[str] | None = None) -> int:
     # Imports come later: Ctrl-C may be pressed while they last.
     try:
         return _answer(sys.argv[1:] if arguments is None else arguments)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, RuntimeError) as error:
+        # Python 3.11 turns what is raised while a class names its attributes into a RuntimeError.
+        if not isinstance(error.__cause__ or error, KeyboardInterrupt):
+            raise
         print("league: stopped.", file=sys.stderr)
         return 130
 
