@@ -170,7 +170,8 @@ class LidarConfig(Checked, what="lidar"):
         super().__post_init__()
         if self.form != "ranges" and self.beams % self.sectors:
             raise ConfigError(
-                f"lidar sectors is {self.sectors}, which does not divide {self.beams} beams"
+                f"lidar sectors is {self.sectors}, which does not divide {self.beams} beams: "
+                "give a number of sectors that does"
             )
         if not self.min_range < self.max_range:
             raise ConfigError(
