@@ -165,23 +165,25 @@ class Event(FrozenModel):
 class CarResult(FrozenModel):
     """How one car's race ended."""
 
-    car: int  # grid slot, from 0
+    car: int = Field(description="Grid slot, from 0.")
     name: Name  # name of its driver
-    place: int  # from 1; equal places do not occur
-    finished: bool  # whether all laps were driven
-    laps: int  # complete laps
-    # time of the last complete lap's end, penalties included [s]; race time if not finished
-    total_s: float
-    lap_times_s: tuple[float, ...]  # each complete lap [s], penalties included
-    distance: float  # driven along the track [m]
-    off_tracks: int  # times off the track
-    crashes: int  # contacts penalised
-    touches: int = 0  # contacts to blame for that were too light for a penalty
-    contacts_taken: int  # contacts others were to blame for
-    immobilised: int  # times immobilised
-    reversed: int  # times driving backwards
-    penalty_s: float  # seconds of penalty in all
-    overtakes: int  # cars passed on the road
+    place: int = Field(description="From 1; equal places do not occur.")
+    finished: bool = Field(description="Whether all laps were driven.")
+    laps: int = Field(description="Complete laps.")
+    total_s: float = Field(
+        description="Time of the last complete lap's end, penalties included [s]; race time if "
+        "not finished."
+    )
+    lap_times_s: tuple[float, ...] = Field(description="Each complete lap [s], with penalties.")
+    distance: float = Field(description="Driven along the track [m].")
+    off_tracks: int = Field(description="Times off the track.")
+    crashes: int = Field(description="Contacts penalised.")
+    touches: int = Field(0, description="Contacts to blame for, too light for a penalty.")
+    contacts_taken: int = Field(description="Contacts that another car was to blame for.")
+    immobilised: int = Field(description="Times immobilised.")
+    reversed: int = Field(description="Times driving backwards.")
+    penalty_s: float = Field(description="Penalties in all [s].")
+    overtakes: int = Field(description="Cars passed on the road.")
 
     @property
     def best_lap_s(self) -> float | None:

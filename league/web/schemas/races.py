@@ -11,6 +11,7 @@ from league.matchmaking.scores import BestLap
 from league.matchmaking.seasons import Trophy
 from league.matchmaking.standings import Row
 from league.matchmaking.store import Cup, HeatState, Season
+from league.race_spec import CarResult
 from league.sim.config import RaceKind
 from league.web.charts import ComparedLaps
 from league.web.pages.heats import LapFaults
@@ -105,36 +106,10 @@ class ScoredHeat(ListedHeat):
     """Points that the ratings promise it."""
 
 
-class Classified(Answer):
-    """How a car did in a race."""
-
-    car: int
-    """Grid slot, from 0."""
-    name: str
-    place: int
-    """From 1."""
-    finished: bool
-    laps: int
-    total_s: float | None
-    """Race time, penalties included [s]."""
-    lap_times_s: list[float]
-    distance: float
-    """Along the centreline [m]."""
-    off_tracks: int
-    crashes: int
-    touches: int = 0
-    contacts_taken: int
-    """Contacts that another car was to blame for."""
-    immobilised: int
-    reversed: int
-    penalty_s: float
-    overtakes: int
-
-
 class Classification(Answer):
     """The result of a race."""
 
-    order: list[Classified]
+    order: list[CarResult]
     """Cars by place."""
     steps: int
     """Control steps raced."""
