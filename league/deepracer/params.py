@@ -47,7 +47,6 @@ class ParamsBuilder:
         self._step_dt, self._cars = sim.step_dt, tuple(cars)
         self._body = _body(sim.car, CameraConfig())
         self.memory = np.zeros((0, 0), params_kernels.MEMORY)  # (num_worlds, num_cars)
-        self._to_note = False
         self._tracks: TrackSet | None = None
 
     def restart(self, begun: np.ndarray) -> None:
@@ -66,7 +65,6 @@ class ParamsBuilder:
             self.memory["fresh"] = True
         self.memory["steps"][begun] = 0
         self.memory["fresh"][begun] = True
-        self._to_note = True
 
     def rows(
         self, tracks: TrackSet, before: World, world: World, verdicts: np.ndarray
@@ -79,11 +77,9 @@ class ParamsBuilder:
         if tracks is not self._tracks:
             self._roads, self._tracks = Roads.of(tracks), tracks
         roads = self._roads
-        known = (tracks.points, tracks.courses, roads.records, self._body, self.memory)
-        if self._to_note:
-            self._to_note = params_kernels.note_starts(*known, before.cars, world.worlds)
         own, objects = params_kernels.build(
-            *(*known, roads.own_waypoints, before.cars, world.cars, world.obstacles, world.worlds),
+            *(tracks.points, tracks.courses, roads.records, self._body, self.memory),
+            *(roads.own_waypoints, before.cars, world.cars, world.obstacles, world.worlds),
             *(verdicts, self._step_dt),
         )
         return [_row(roads, *row) for row in zip(own.tolist(), objects.tolist(), strict=True)]
@@ -146,9 +142,6 @@ class Roads:
     def of(cls, tracks: TrackSet) -> Roads:
         """Make the tables."""
         records = np.zeros(len(tracks.courses), dtype=params_kernels.ROAD)
-        for name in ("length", "closed"):
-            records[name] = tracks.courses[name]
-        records["lap"] = tracks.lap_length(np.arange(len(records)))
         waypoints = tuple(_waypoints(track) for track in tracks.tracks)
         records["steps"] = [len(points) - 1 for points in waypoints]
         none = np.empty((0, 2))

@@ -11,7 +11,7 @@ import numpy as np
 
 from league.jit import compiled, inner
 from league.sim.physics.vehicle import frozen
-from league.track.projection import project
+from league.track.projection import lap_length, project
 
 (WORLD, CAR, STEERING, SPEED, X, Y, HEADING) = range(7)
 (DISTANCE, PROJECTION, WIDTH, LENGTH, PROGRESS, SIM_TIME, STEPS) = range(7, 14)
@@ -32,14 +32,11 @@ _HEIGHT = 0.2  # Assumed height of an object [m]: a car is 0.19, a box 0.25.
 # Records, because each array or number that is passed costs a quarter of a microsecond.
 ROAD = np.dtype(
     [
-        ("length", "f8"),  # length of the centreline [m]
-        ("lap", "f8"),  # what counts as a lap [m]: the length, but of an open track a little less
-        ("closed", "?"),  # whether the track is a loop
         ("steps", "i8"),  # stretches between two waypoints
         ("first_waypoint", "i8"),  # where its own waypoints begin; -1: they are evenly spaced
     ]
 )
-"""One track as reward functions see it."""
+"""The waypoints of one track."""
 BODY = np.dtype(
     [
         ("nose", "f8"),  # ahead of the base [m]
@@ -67,29 +64,6 @@ MEMORY = np.dtype(
 """A car's episode so far."""
 
 
-@compiled
-def note_starts(points, courses, roads, bodies, memory, before, worlds):
-    """Note where the episodes of fresh cars begin; for the arguments see `build`.
-
-    Return whether there are cars left to note: those that stand a penalty or have finished.
-    """
-    left = False
-    for w in range(memory.shape[0]):
-        course, road = courses[worlds[w].track], roads[worlds[w].track]
-        for c in range(memory.shape[1]):
-            episode, car = memory[w, c], before[w, c]
-            if not (episode.paid and episode.fresh):
-                continue
-            if _stopped(car):
-                left = True
-                continue
-            frame = _nose(points, course, bodies[0], car)[2]
-            episode.lead = _short_way(road, frame.s - car.s)
-            episode.start = car.distance
-            episode.fresh = False
-    return left
-
-
 @compiled(allocates=True)
 def build(
     points,
@@ -109,9 +83,10 @@ def build(
 
     Of the TrackSet are `points` and `courses`; `waypoints`, (n, 2) [m], are those of all tracks
     that have their own, `roads` ROAD of each track, and `bodies` BODY of all cars, (1,). Steps are
-    counted in `memory`, MEMORY of each car, and a lap ends an episode. As `memory`, (num_worlds,
-    num_cars) are CAR records `before` and `after` the step, and VERDICT records; OBSTACLE records
-    are (num_worlds, num_obstacles), WORLD records (num_worlds,). A step lasts `step_dt` [s].
+    counted in `memory`, MEMORY of each car, and starts noted there; a lap ends an episode. As
+    `memory`, (num_worlds, num_cars) are CAR records `before` and `after` the step, and VERDICT
+    records; OBSTACLE records are (num_worlds, num_obstacles), WORLD records (num_worlds,). A step
+    lasts `step_dt` [s].
 
     Returns:
         Of each car itself, float64 (num_rows, NUM_OWN), and of obstacles and all other cars, in
@@ -124,19 +99,24 @@ def build(
     for w in range(memory.shape[0]):
         course, road = courses[worlds[w].track], roads[worlds[w].track]
         for c in range(num_cars):
-            episode, car = memory[w, c], after[w, c]
-            if not episode.paid or _stopped(before[w, c]):
+            episode, earlier, car = memory[w, c], before[w, c], after[w, c]
+            if not episode.paid or _stopped(earlier):
                 continue
+            if episode.fresh:
+                frame = _nose(points, course, body, earlier)[2]
+                episode.lead = _short_way(course, frame.s - earlier.s)
+                episode.start = earlier.distance
+                episode.fresh = False
             row, verdict = own[number], verdicts[w, c]
             row[WORLD], row[CAR], row[TRACK] = w, c, worlds[w].track
             row[CRASHED], row[SIM_TIME] = verdict.crashed, worlds[w].step * step_dt
             _write_place(points, course, road, body, waypoints, car, row)
-            _write_episode(road, episode, car, before[w, c].laps, verdict.lap, row)
+            _write_episode(course, episode, car, earlier.laps, verdict.lap, row)
             for k in range(num_obstacles):
-                _write_object(road, obstacles[w, k], k, objects[number])
+                _write_object(course, obstacles[w, k], k, objects[number])
             for k in range(num_cars - 1):
-                _write_object(road, after[w, k + (k >= c)], num_obstacles + k, objects[number])
-            _write_closest_objects(road, objects[number], row)
+                _write_object(course, after[w, k + (k >= c)], num_obstacles + k, objects[number])
+            _write_closest_objects(course, objects[number], row)
             k = int(row[NEXT_OBJECT])
             if k < num_obstacles:
                 box = obstacles[w, k]
@@ -162,32 +142,32 @@ def _write_place(points, course, road, body, waypoints, car, row):
     row[STEERING] = _rounded(car.target_steering * _DEGREES)
     row[SPEED] = _rounded(f64(car.target_speed))
     row[DISTANCE], row[PROJECTION] = abs(lateral), frame.s
-    row[WIDTH], row[LENGTH] = frame.left + frame.right, road.length
+    row[WIDTH], row[LENGTH] = frame.left + frame.right, course.length
     row[IS_LEFT] = frame.left - lateral < frame.right + lateral
     row[ALL_ON_ROAD], row[NONE_ON_ROAD] = _on_road(points, course, body, car)
-    row[BEHIND], row[FOLLOWING] = closest_waypoints(waypoints, road, frame.s, x, y)
+    row[BEHIND], row[FOLLOWING] = closest_waypoints(waypoints, course, road, frame.s, x, y)
 
 
 @inner
-def _write_episode(road, episode, car, laps, lap, row):
+def _write_episode(course, episode, car, laps, lap, row):
     episode.steps += 1
     row[STEPS] = episode.steps
     # Held just below 100 until the referee has counted the lap, so that 100 occurs once.
     if lap:
         row[PROGRESS] = 100.0
         episode.steps = 0
-        episode.start = (laps + 1) * road.lap
+        episode.start = (laps + 1) * f64(lap_length(course))
     else:
-        lead = _short_way(road, row[PROJECTION] - car.s) - episode.lead
+        lead = _short_way(course, row[PROJECTION] - car.s) - episode.lead
         driven = car.distance - episode.start + lead
-        row[PROGRESS] = min(100.0 * driven / road.lap, _BELOW_100)
+        row[PROGRESS] = min(100.0 * driven / lap_length(course), _BELOW_100)
 
 
 @inner
-def _write_object(road, thing, k, table):
+def _write_object(course, thing, k, table):
     """Write the rows about an obstacle or another car."""
     s = f64(thing.s)
-    table[OBJECT_S, k] = s % road.length if road.closed else s
+    table[OBJECT_S, k] = s % course.length if course.closed else s
     table[OBJECT_DISTANCE, k] = abs(thing.lateral)
     table[OBJECT_HEADING, k] = _heading(thing.yaw)
     velocity_x, velocity_y = f64(thing.velocity_x), f64(thing.velocity_y)
@@ -197,15 +177,15 @@ def _write_object(road, thing, k, table):
 
 
 @inner
-def _write_closest_objects(road, table, row):
+def _write_closest_objects(course, table, row):
     """Write the last object and the next one along the lap; 0 and 0 without objects."""
     row[LAST_OBJECT] = row[NEXT_OBJECT] = row[SEES_NEXT] = 0
     smallest_behind = smallest_ahead = math.inf
     for k in range(table.shape[1]):
         gap = table[OBJECT_S, k] - row[PROJECTION]
         # On a loop everything is somewhere ahead; on a straight what is behind comes last.
-        ahead = _ahead(road, gap)
-        behind = 0.0 if ahead == road.length else _ahead(road, -gap)
+        ahead = _ahead(course, gap)
+        behind = 0.0 if ahead == course.length else _ahead(course, -gap)
         if 0.0 <= behind < smallest_behind:
             smallest_behind, row[LAST_OBJECT] = behind, k
         if 0.0 < ahead < smallest_ahead:
@@ -213,19 +193,20 @@ def _write_closest_objects(road, table, row):
 
 
 @compiled
-def closest_waypoints(waypoints, road, s, x, y):
+def closest_waypoints(waypoints, course, road, s, x, y):
     """Return the waypoint at or behind a place, and the next one; after the last comes 0.
 
     A track's own `waypoints`, (n, 2) [m], are joined by straight lines, and the point of these that
     is nearest to x and y [m] counts, as in the original. Those that are evenly spaced lie on the
-    centreline, along which the place is at s, in [0, length] [m]. `road` is ROAD of the track.
+    centreline, along which the place is at s, in [0, length] [m]. `course` and `road` are COURSE
+    and ROAD of the track.
     """
     # The tiny share keeps a place right at a waypoint from falling behind it by rounding.
     if road.first_waypoint < 0:
-        behind = math.floor(s / road.length * road.steps + 1e-6)
+        behind = math.floor(s / course.length * road.steps + 1e-6)
     else:
         own = waypoints[road.first_waypoint : road.first_waypoint + road.steps + 1]
-        behind = _last_reached(own, road.closed, x, y)
+        behind = _last_reached(own, course.closed, x, y)
     behind = min(max(behind, 0), road.steps)
     return behind, 0 if behind >= road.steps else behind + 1
 
@@ -281,18 +262,18 @@ def _on_road(points, course, body, car):
 
 
 @inner
-def _short_way(road, gap):
+def _short_way(course, gap):
     """Return a difference of two places the shorter way round [m]."""
-    return gap - np.rint(gap / road.length) * road.length if road.closed else gap
+    return gap - np.rint(gap / course.length) * course.length if course.closed else gap
 
 
 @inner
-def _ahead(road, gap):
+def _ahead(course, gap):
     """Return a difference of two places as a way ahead [m]: on a loop in (0, length]."""
-    if not road.closed:
+    if not course.closed:
         return gap
-    around = gap % road.length
-    return road.length if around <= 0.0 else around
+    around = gap % course.length
+    return course.length if around <= 0.0 else around
 
 
 @inner

@@ -30,7 +30,7 @@ from league.racing.evaluate import MISTAKES, EvalStep
 from league.sim import referee
 from league.sim.config import CarConfig, SensorConfig, SimConfig
 from league.sim.records import NOBODY, World, is_frozen
-from league.track.track import Track, TrackSet
+from league.track.track import TrackSet
 
 COLUMNS = (
     "episode", "steps", "X", "Y", "yaw", "steer", "throttle", "action", "reward", "done",
@@ -74,23 +74,25 @@ class StepRows:
         columns = _columns(tracks, sim.car, before[:, 0], world, rewards[:, 0])
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         for row, index in zip(rows, world.track.tolist(), strict=True):
-            row.update(self._lap_columns(tracks.tracks[index], index, row))
+            row.update(self._lap_columns(tracks, index, row))
             row["action"] = self._action(row["steer"], row["throttle"])
         return rows
 
-    def _lap_columns(self, track: Track, index: int, row: Mapping[str, float]) -> dict[str, Any]:
+    def _lap_columns(
+        self, tracks: TrackSet, index: int, row: Mapping[str, float]
+    ) -> dict[str, Any]:
         """Return the columns that say where on the lap the car is."""
         roads = self._roads
         assert roads is not None
-        place = (row["nose_s"], row["X"], row["Y"])
-        pair = params_kernels.closest_waypoints(roads.own_waypoints, roads.records[index], *place)
+        tables = (roads.own_waypoints, tracks.courses[index], roads.records[index])
+        pair = params_kernels.closest_waypoints(*tables, row["nose_s"], row["X"], row["Y"])
         # The referee counts laps where the base is; the original's progress is that of the nose.
         on_lap = row["distance"] - row["laps"] * row["lap_length"]
         progress = 100.0 * (on_lap + row["nose_ahead"]) / row["lap_length"]
         return {
             "progress": round(min(max(progress, 0.0), 100.0), 6),
             "closest_waypoint": nearer(roads.waypoints[index], pair, row["X"], row["Y"]),
-            "track_len": round(track.length, 6),
+            "track_len": round(tracks.tracks[index].length, 6),
         }
 
     def _action(self, steer: float, throttle: float) -> str | int:

@@ -23,9 +23,9 @@ from league.sim.config import ObstacleConfig, SimConfig
 from league.training import config, evaluator, run_folder
 from league.training.config import RunConfig
 from league.training.evaluator import EvalConfig, EvalResult, Evaluator
-from league.training.monitor.history import TrainingCallback, TrainingHistory
+from league.training.monitor.history import TrainingCallback, TrainingHistory, UpdateRow
 from league.training.ppo import distributed, make_env
-from league.training.ppo.learner import Update, check_device, make_learner, memory_explained
+from league.training.ppo.learner import check_device, make_learner, memory_explained
 from league.training.ppo.self_play import RacingLearner, make_racing
 from league.training.ppo.teacher import make_taught
 
@@ -193,9 +193,10 @@ class Run:
         best, samples = self.folder / "best.pt", self.learner.samples
         return Outcome(best, self._best_evaluation, samples, self.spent_s, why, self._duels)
 
-    def _after(self, update: Update) -> None:
+    def _after(self, update: UpdateRow) -> None:
         """Report an update; at a save point evaluate and save, too."""
-        self.history.add_update(update, self.learner.episodes, self.spent_s)
+        update = replace(update, time_s=round(self.spent_s, 4))
+        self.history.add_update(update)
         for callback in self._callbacks:
             callback.update(self.history, update)
         at_save_point = self.learner.at_save_point

@@ -172,8 +172,9 @@ def closest(roads, tracks, s, *, track=0):
     center = tracks[track].center
     line = np.vstack([center, center[:1]]) if tracks[track].closed else center
     x, y = (np.interp(20 * s, np.arange(len(line)), line[:, axis]) for axis in (0, 1))
-    record = roads.records[track]
-    pair = params_kernels.closest_waypoints(roads.own_waypoints, record, s, float(x), float(y))
+    course = TrackSet(*tracks).courses[track]
+    place = course, roads.records[track], s, float(x), float(y)
+    pair = params_kernels.closest_waypoints(roads.own_waypoints, *place)
     return [int(one) for one in pair]
 
 
@@ -259,7 +260,8 @@ def test_no_two_closest_waypoints_are_the_same_place():
 @pytest.mark.parametrize("path", COMMUNITY, ids=lambda path: path.stem)
 def test_closest_waypoints_of_a_community_track_are_those_of_its_own_polyline(path):
     track = importer.read_npy(path)
-    roads, line = Roads.of(TrackSet(track)), shapely.LineString(track.waypoints)
+    tracks, line = TrackSet(track), shapely.LineString(track.waypoints)
+    roads = Roads.of(tracks)
     chords = np.linalg.norm(np.diff(track.waypoints, axis=0), axis=1)
     reached = np.concatenate([[0], chords.cumsum()])
     generator = np.random.default_rng(0)
@@ -269,7 +271,7 @@ def test_closest_waypoints_of_a_community_track_are_those_of_its_own_polyline(pa
         if np.abs(reached - s).min() > 1e-4:  # right at a waypoint rounding decides
             behind = int(np.searchsorted(reached, s)) - 1
             along = track.length * nearest / len(track.center)
-            arguments = (roads.own_waypoints, roads.records[0], along, x, y)
+            arguments = (roads.own_waypoints, tracks.courses[0], roads.records[0], along, x, y)
             assert params_kernels.closest_waypoints(*arguments) == (behind, behind + 1)
 
 

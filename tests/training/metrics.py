@@ -4,32 +4,29 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import torch
-
 from league.racing.table import Evaluation, Trial
-from league.training.monitor.history import TEACHING, TrainingHistory
-from league.training.ppo.learner import Update
-from league.training.ppo.statistics import EpisodeStatistics
+from league.training.monitor.history import TEACHING, TrainingHistory, UpdateRow
 
 
-def update(number: int, *, loss: float = 0.25) -> Update:
-    """Return an update of 100 decisions, half a second of collecting and a second of learning."""
-    return Update(
+def update(
+    number: int, completion: float = 0.5, time_s: float = 0.0, *, loss: float = 0.25
+) -> UpdateRow:
+    """Return an update of 100 decisions, half a second of collecting and a second of learning.
+
+    Its episodes came so far, 0 to 1, and earned 5.
+    """
+    return UpdateRow(
         number=number,
         samples=100 * number,
+        time_s=time_s,
         collect_s=0.5,
         learn_s=1.0,
         reward=0.125,
+        earned=5.0,
+        completion=100.0 * completion,
         losses={"value": loss, "surrogate": -0.01},
         log={"/reward/progress": 0.125, "/drive/speed": 1.5},
     )
-
-
-def episodes(completion: float) -> EpisodeStatistics:
-    """Return the episodes of one row, of which one came so far and earned 5."""
-    made = EpisodeStatistics(1)
-    made.add(torch.tensor([5.0]), torch.tensor([1]), torch.tensor([completion]))
-    return made
 
 
 def evaluation(best_lap_s: float | None) -> Evaluation:
@@ -73,7 +70,7 @@ def history(updates: int, *, judged_every: int = 4, slow_s: float = 2.0) -> Trai
     """Return a run that gets better: 2 s and 100 decisions an update, judged now and then."""
     made = TrainingHistory()
     for number in range(1, updates + 1):
-        made.add_update(update(number), episodes(number / updates), slow_s * number)
+        made.add_update(update(number, number / updates, slow_s * number))
         if number % judged_every == 0:
             lap = None if number == judged_every else 9.0 - number / updates
             made.add_evaluation(
@@ -92,9 +89,9 @@ def self_play(updates: int, *, update_s: float = 8.0) -> TrainingHistory:
     for number in range(1, updates + 1):
         taught, stage = number <= updates // 2, 2 * number / updates % 1.0
         samples += 49_152 if taught else 2_048
-        row = replace(update(number), samples=samples)
+        row = replace(update(number, 0.2 + 0.7 * stage, update_s * number), samples=samples)
         row = replace(row, log=row.log | {TEACHING: 1.0}) if taught else row
-        made.add_update(row, episodes(0.2 + 0.7 * stage), update_s * number)
+        made.add_update(row)
         if not taught and number % 16 == 0:
             made.add_evaluation(
                 evaluation(9.0 - stage),

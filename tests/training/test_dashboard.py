@@ -11,7 +11,7 @@ from league.training.config import TrainConfig
 from league.training.monitor import dashboard
 from league.training.monitor.dashboard import Dashboard
 from league.training.monitor.history import TEACHING, TrainingHistory
-from tests.training.metrics import episodes, evaluation, history, update
+from tests.training.metrics import evaluation, history, update
 
 
 def terminal(width: int = 100, *, real: bool = True) -> Console:
@@ -97,7 +97,7 @@ def test_where_nothing_can_be_drawn_lines_are_printed(monkeypatch):
     made = TrainingHistory()
     for number in range(1, 10):
         now[0] += 2.0
-        made.add_update(update(number), episodes(0.5), 2.0 * number)
+        made.add_update(update(number, 0.5, 2.0 * number))
         shown.update(made, update(number))
     made.add_evaluation(
         evaluation(7.5), made.updates[-1].number, time_s=18.5, took_s=0.5, best=True
@@ -132,11 +132,11 @@ def test_self_play_is_shown_while_it_lasts_and_when_its_duels_are_raced():
 
 def test_while_a_teacher_learns_that_is_shown():
     made = history(3)
-    taught = update(len(made.updates) + 1)
-    made.add_update(replace(taught, log=taught.log | {TEACHING: 1.0}), episodes(0.5), 9.0)
+    taught = update(len(made.updates) + 1, 0.5, 9.0)
+    made.add_update(replace(taught, log=taught.log | {TEACHING: 1.0}))
     assert "the teacher learns" in dashboard.update_line(made, None, None)
     assert any("it learns first, from the truth" in row for row in drawn(made))
-    made.add_update(update(taught.number + 1), episodes(0.5), 9.5)
+    made.add_update(update(taught.number + 1, 0.5, 9.5))
     assert "teacher" not in dashboard.update_line(made, None, None)
 
 

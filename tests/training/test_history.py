@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,14 +10,14 @@ import pytest
 from league.errors import PolicyError
 from league.training.monitor import history
 from league.training.monitor.history import TrainingHistory
-from tests.training.metrics import episodes, evaluation, update
+from tests.training.metrics import evaluation, update
 
 
 def filled(path: Path | None = None, updates: int = 4) -> TrainingHistory:
     """Return a history of some updates, with an evaluation after each second one."""
     made = TrainingHistory(path)
     for number in range(1, updates + 1):
-        made.add_update(update(number), episodes(0.1 * number), 2.0 * number)
+        made.add_update(update(number, 0.1 * number, 2.0 * number))
         if number % 2 == 0:
             best = number == 2
             made.add_evaluation(
@@ -91,7 +92,7 @@ def test_a_resumed_run_goes_on_after_the_update_it_was_saved_at(tmp_path):
     assert [row.number for row in made.updates] == [1, 2]
     assert [row.number for row in made.evaluations] == [2]
     assert (made.updates[-1].number, made.samples, made.time_s) == (2, 200, 4.5)
-    made.add_update(update(3), episodes(0.9), 7.0)
+    made.add_update(update(3, 0.9, 7.0))
     made.close()
     rows = history.read(path)
     assert [row.number for row in rows] == [1, 2, 2, 3]
@@ -124,7 +125,7 @@ def test_a_file_cut_anywhere_is_read_as_far_as_it_goes(tmp_path, length):
 
 def test_a_loss_that_is_not_a_number_is_kept_as_such(tmp_path):
     made = TrainingHistory(tmp_path / "a.jsonl")
-    made.add_update(update(1, loss=math.nan), episodes(0.5), 1.0)
+    made.add_update(update(1, 0.5, 1.0, loss=math.nan))
     made.close()
     (row,) = history.read(tmp_path / "a.jsonl")
     assert isinstance(row, history.UpdateRow)
@@ -146,6 +147,31 @@ def test_a_foreign_line_is_named(tmp_path):
     path = tmp_path / "a.jsonl"
     path.write_text('{"history": 1}\n{"row": "update", "number": 1}\n')
     with pytest.raises(PolicyError, match=r"line 2 of .*a\.jsonl"):
+        history.read(path)
+
+
+def test_what_only_charts_show_is_not_kept(tmp_path):
+    made, path = TrainingHistory(tmp_path / "a.jsonl"), tmp_path / "a.jsonl"
+    row = update(1, 0.5, 1.0)
+    made.add_update(replace(row, learning_rate=0.5, mean_std=0.25, episode_steps=40.0))
+    made.close()
+    assert history.read(path) == [row]
+    line = path.read_text().splitlines()[1]
+    assert list(json.loads(line)) == [
+        *("row", "number", "samples", "time_s", "collect_s", "learn_s", "reward"),
+        *("earned", "completion", "losses", "log"),
+    ]
+
+
+@pytest.mark.parametrize("name", ["time_s", "earned", "log"])
+def test_a_row_that_lacks_something_is_refused(tmp_path, name):
+    path = tmp_path / "a.jsonl"
+    filled(path, 1).close()
+    head, line = path.read_text().splitlines()
+    row = json.loads(line)
+    del row[name]
+    path.write_text(f"{head}\n{json.dumps(row)}\n")
+    with pytest.raises(PolicyError, match=r"line 2 of .*a\.jsonl is no row"):
         history.read(path)
 
 

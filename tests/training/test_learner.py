@@ -332,7 +332,18 @@ def test_an_update_tells_what_charts_of_rsl_rl_show():
     # Half way down a geometric fall: sqrt(1e-3 x 1e-5) and sqrt(0.9 x 0.1).
     assert told.learning_rate == pytest.approx(1e-4)
     assert told.mean_std == pytest.approx(0.3)
-    assert told.episode_steps == made.episodes.steps
+    assert told.episode_steps == made._episodes.steps
+
+
+def test_an_update_tells_completion_in_percent():
+    made = learner()
+    assert made.update(0.0).completion is None
+    rows = made.env.num_envs
+    made._episodes.add(torch.full((rows,), 5.0), torch.ones(rows), torch.full((rows,), 0.3))
+    told = made.update(0.0)
+    assert made._episodes.completion is not None
+    assert told.completion == 100.0 * made._episodes.completion > 20.0
+    assert told.earned == made._episodes.earned is not None
 
 
 def test_chances_of_choices_tell_their_spread():

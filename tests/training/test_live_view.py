@@ -20,7 +20,7 @@ from league.training.monitor.sinks import LiveView
 from league.training.ppo import make_env
 from tests.recordings import rows_of
 from tests.scenes import assert_same, make_ring, make_square
-from tests.training.metrics import episodes, evaluation, update
+from tests.training.metrics import evaluation, update
 
 
 def made(num_worlds: int, *tracks, **settings: object):
@@ -169,7 +169,7 @@ def test_the_live_view_serves_this_machine_alone_and_lets_go_of_the_worlds():
         run = TrainingHistory()
         for number in (1, 2):
             env.step(torch.zeros(2, 2))
-            run.add_update(update(number), episodes(0.5), 2.0)
+            run.add_update(update(number, 0.5, 2.0))
             view.update(run, update(number))
         run.add_evaluation(
             evaluation(7.0), run.updates[-1].number, time_s=3.0, took_s=0.5, best=True
@@ -199,7 +199,7 @@ def test_learning_goes_on_where_the_viewer_has_been_closed():
     view._stream._child.kill()
     view._stream._child.wait()
     run = TrainingHistory()
-    run.add_update(update(1), episodes(0.5), 2.0)
+    run.add_update(update(1, 0.5, 2.0))
     env.step(torch.zeros(1, 2))
     view.update(run, update(1))
     assert env.watch is None

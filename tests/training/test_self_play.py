@@ -13,10 +13,11 @@ from league.envs.rewards import PRESETS
 from league.sim.config import CameraConfig, SensorConfig
 from league.track.track import TrackSet
 from league.training.config import PpoConfig, TrainConfig
+from league.training.monitor.history import UpdateRow
 from league.training.ppo import self_play
-from league.training.ppo.learner import Update
 from league.training.ppo.self_play import Curriculum, Racer, RacingLearner, make_racing
 from tests.scenes import make_ring
+from tests.training import metrics
 from tests.training.learners import settings
 
 RING = TrackSet(make_ring())
@@ -46,9 +47,9 @@ def small(monkeypatch) -> TrainConfig:
 ROWS = 1000
 
 
-def update(attacks: float, passed: float, clean: float) -> Update:
+def update(attacks: float, passed: float, clean: float) -> UpdateRow:
     log = {"/race/attacks": attacks, "/race/passed": passed, "/race/clean": clean}
-    return Update(1, ROWS, 0.0, 0.0, 0.0, {}, log)
+    return replace(metrics.update(1), samples=ROWS, log=log)
 
 
 def run(made: Curriculum, shares: np.ndarray, clean: float) -> dict[str, float]:

@@ -9,7 +9,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from league.training.monitor.history import TrainingHistory
 from league.training.monitor.sinks import TensorBoard
-from tests.training.metrics import episodes, evaluation, update
+from tests.training.metrics import evaluation, update
 
 
 def points(folder: Path) -> dict[str, list[tuple[int, float]]]:
@@ -25,7 +25,7 @@ def points(folder: Path) -> dict[str, list[tuple[int, float]]]:
 def run(folder: Path, numbers: range, *, loss: float = 0.25) -> None:
     made, sink = TrainingHistory(), TensorBoard(folder)
     for number in numbers:
-        made.add_update(update(number, loss=loss), episodes(0.5), 2.0 * number)
+        made.add_update(update(number, 0.5, 2.0 * number, loss=loss))
         sink.update(made, update(number, loss=loss))
     made.add_evaluation(evaluation(7.5), made.updates[-1].number, time_s=9.0, took_s=0.5, best=True)
     sink.evaluated(made, evaluation(7.5))
@@ -52,7 +52,7 @@ def test_step_size_exploration_and_length_of_episodes_have_rsl_rl_s_names(tmp_pa
     made, sink = TrainingHistory(), TensorBoard(tmp_path)
     brought = replace(update(2), learning_rate=0.5, mean_std=0.25, episode_steps=40.0)
     for one in (update(1), brought):  # the first has none of them
-        made.add_update(one, episodes(0.5), 2.0 * one.number)
+        made.add_update(replace(one, time_s=2.0 * one.number))
         sink.update(made, one)
     sink.close()
     found = points(tmp_path)

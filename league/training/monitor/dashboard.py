@@ -22,8 +22,7 @@ from league.training.monitor.history import TrainingCallback, TrainingHistory
 if TYPE_CHECKING:
     from league.racing.table import Evaluation
     from league.training.config import TrainConfig
-    from league.training.monitor.history import EvaluationRow, Row
-    from league.training.ppo.learner import Update
+    from league.training.monitor.history import EvaluationRow, Row, UpdateRow
 
 PLAIN_EVERY_S = 5.0  # seconds between two plain lines
 REFRESHES_HZ = 2.0  # how often the dashboard is drawn; once takes some milliseconds
@@ -65,7 +64,7 @@ class Dashboard(TrainingCallback):
         else:
             self._print(f"training {name}: {self._kind}, {cfg.num_worlds} worlds")
 
-    def update(self, history: TrainingHistory, update: Update) -> None:
+    def update(self, history: TrainingHistory, update: UpdateRow) -> None:
         """Show an update."""
         self._history, self._updated_s = history, time.monotonic()
         if self._live is None and self._updated_s - self._printed_s >= PLAIN_EVERY_S:

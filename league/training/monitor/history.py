@@ -15,21 +15,21 @@ from io import BufferedWriter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import BeforeValidator, ConfigDict, Discriminator, TypeAdapter
+from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, TypeAdapter
 
 from league.atomic_file import replacing
 from league.errors import PolicyError, brief, explaining
 
 if TYPE_CHECKING:
     from league.racing.table import Evaluation
-    from league.training.ppo.learner import Update
-    from league.training.ppo.statistics import EpisodeStatistics
 
 FORMAT = 1
 TEACHING = "/teacher/learning"  # logged as 1 while a teacher learns (ppo/teacher.py)
 _OLD_TEACHING = "/tutor/learning"  # its name in the files of older versions
 _Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 """JSON has no NaN: it is written as null."""
+_Unwritten = Annotated[float | None, Field(exclude=True)]
+"""Shown while a run learns, and not written."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +40,7 @@ class UpdateRow:
 
     row: Literal["update"] = "update"
     number: int  # updates so far, this one included
-    samples: int  # decisions learnt from so far
+    samples: int  # decisions learnt from so far, by all ranks
     time_s: float  # wall time of the run so far, of the parts before a resume too [s]
     collect_s: float  # wall time of this update's rollout: physics, cameras, reward and policy [s]
     learn_s: float  # wall time of this update's learning [s]
@@ -50,6 +50,10 @@ class UpdateRow:
     completion: float | None  # mean completion [%]
     losses: dict[str, _Number]  # mean losses by rsl-rl's names
     log: dict[str, _Number]  # means of the worlds' log over the steps
+    # For charts only.
+    learning_rate: _Unwritten = None  # step size of the optimiser
+    mean_std: _Unwritten = None  # mean standard deviation of the actions
+    episode_steps: _Unwritten = None  # mean steps between ends of episodes; None before any
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,8 +80,7 @@ class EvaluationRow:
     best: bool  # whether the policy was then the best so far
 
 
-# What rows take as it is, of an update and of an evaluation.
-_OF_UPDATE = ("number", "samples", "reward", "losses", "log")
+# What a row takes as it is of an evaluation.
 _OF_EVALUATION = (
     *("asked", "complete_laps", "clean_laps", "best_lap_s", "mean_lap_s", "best_flying_s"),
     *("off_tracks", "crashes"),
@@ -132,17 +135,8 @@ class TrainingHistory:
         times = {row.number: row.time_s for row in self.updates}
         return [times.get(row.number, row.time_s) for row in rows]
 
-    def add_update(self, update: Update, episodes: EpisodeStatistics, time_s: float) -> None:
-        """Add an update; `time_s` is the wall time of the run, before a resume too [s]."""
-        completion = episodes.completion
-        row = UpdateRow(
-            **{name: getattr(update, name) for name in _OF_UPDATE},
-            time_s=round(time_s, 4),
-            collect_s=round(update.collect_s, 4),
-            learn_s=round(update.learn_s, 4),
-            earned=episodes.earned,
-            completion=None if completion is None else 100.0 * completion,
-        )
+    def add_update(self, row: UpdateRow) -> None:
+        """Add an update."""
         self.updates.append(row)
         self._write(row)
 
@@ -223,7 +217,7 @@ def _line(row: Row) -> bytes:
 class TrainingCallback:
     """Shows or writes the metrics of a run, which is the same without it."""
 
-    def update(self, history: TrainingHistory, update: Update) -> None:
+    def update(self, history: TrainingHistory, update: UpdateRow) -> None:
         """Called after an update, which is the last row of the history."""
 
     def evaluated(self, history: TrainingHistory, evaluation: Evaluation) -> None:

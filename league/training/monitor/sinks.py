@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from league.envs.adapters.rsl_vec_env import RacingVecEnv
     from league.racing.table import Evaluation
     from league.rerun_view.viewer import Stream
-    from league.training.monitor.history import TrainingHistory
-    from league.training.ppo.learner import Update
+    from league.training.monitor.history import TrainingHistory, UpdateRow
 
 FLUSH_S = 10  # seconds after which what was added is on the disk
 
@@ -35,7 +34,7 @@ class TensorBoard(TrainingCallback):
         self._folder = folder
         self._writer: SummaryWriter | None = None
 
-    def update(self, history: TrainingHistory, update: Update) -> None:
+    def update(self, history: TrainingHistory, update: UpdateRow) -> None:
         """Add the metrics of an update."""
         row = history.updates[-1]
         before = history.updates[-2].samples if len(history.updates) > 1 else 0
@@ -116,7 +115,7 @@ class LiveView(TrainingCallback):
         for env in envs:
             env.watch = self._cars.add
 
-    def update(self, history: TrainingHistory, update: Update) -> None:
+    def update(self, history: TrainingHistory, update: UpdateRow) -> None:
         """Add an update to the charts; stop watching if the viewer has been closed."""
         from league.rerun_view import layout
 
@@ -166,7 +165,7 @@ class TrainingPlot(TrainingCallback):
         self._drawn_s = time.monotonic()
         self._history: TrainingHistory | None = None
 
-    def update(self, history: TrainingHistory, update: Update) -> None:
+    def update(self, history: TrainingHistory, update: UpdateRow) -> None:
         """Keep the history for the plot at the end."""
         self._history = history
 

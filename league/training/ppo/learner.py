@@ -5,7 +5,7 @@ import io
 import pickle
 import time
 from collections.abc import Generator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.errors import ConfigError, PolicyError, brief
 from league.track.track import TrackSet
 from league.training.config import TrainConfig
+from league.training.monitor.history import UpdateRow
 from league.training.ppo import distributed, make_env, symmetry
 from league.training.ppo.models import (
     CONTRAST,
@@ -37,22 +38,6 @@ _NO_STATE = (
     pickle.UnpicklingError,
 )
 AVERAGED = 50  # Most updates that an average goes back; in the first 500 a tenth of all updates.
-
-
-@dataclass(frozen=True)
-class Update:
-    """The result of one round of collecting and learning."""
-
-    number: int  # updates so far, this one included
-    samples: int  # decisions learnt from so far, by all ranks
-    collect_s: float  # wall time of collecting [s]
-    learn_s: float  # wall time of learning [s]
-    reward: float  # mean reward of a step
-    losses: dict[str, float]  # mean losses by rsl-rl's names
-    log: dict[str, float]  # means of the worlds' log over the steps
-    learning_rate: float | None = None  # step size of the optimiser
-    mean_std: float | None = None  # mean standard deviation of the actions
-    episode_steps: float | None = None  # mean steps between ends of episodes; None before any
 
 
 class Learner:
@@ -88,11 +73,6 @@ class Learner:
         self._begin_average()
 
     @property
-    def episodes(self) -> EpisodeStatistics:
-        """Statistics of the last episodes."""
-        return self._episodes
-
-    @property
     def shown(self) -> tuple[RacingVecEnv, ...]:
         """All worlds that a viewer shows."""
         return (self.env,)
@@ -122,14 +102,14 @@ class Learner:
         self._alg.get_policy().load_state_dict(new, strict=False)  # what a policy lacks stays
         self._begin_average()
 
-    def update(self, share: float) -> Update:
+    def update(self, share: float) -> UpdateRow:
         """Collect one round of steps and learn from it; LeagueError if a reward or a rank fails.
 
         The first rank's `share` of the budget that is used up, 0 to 1, sets the schedules.
         """
         return self._learn(distributed.agreed(share))
 
-    def _learn(self, share: float) -> Update:
+    def _learn(self, share: float) -> UpdateRow:
         """Collect and learn at a share of this learner's stage."""
         self._schedule(share)
         self._alg.train_mode()
@@ -152,17 +132,21 @@ class Learner:
             self._average[name].lerp_(value, share)
         if self.at_save_point:
             self.restart_rows()
-        return Update(
+        completion = self._episodes.completion
+        return UpdateRow(
             number=self.updates,
             samples=self.samples,
-            collect_s=collected - started,
-            learn_s=time.perf_counter() - collected,
+            time_s=0.0,  # the run knows it
+            collect_s=round(collected - started, 4),
+            learn_s=round(time.perf_counter() - collected, 4),
             reward=reward,
+            earned=self._episodes.earned,
+            completion=None if completion is None else 100.0 * completion,
             losses=losses,
             log=log,
             learning_rate=self._alg.learning_rate,
             mean_std=float(self._alg.get_policy().output_std.detach().mean()),
-            episode_steps=self.episodes.steps,
+            episode_steps=self._episodes.steps,
         )
 
     @property

@@ -18,8 +18,9 @@ from league.envs.rewards import PRESETS, Reward
 from league.sim.config import CarConfig
 from league.track.track import TrackSet
 from league.training.config import TrainConfig
+from league.training.monitor.history import UpdateRow
 from league.training.ppo import make_env
-from league.training.ppo.learner import Learner, Update
+from league.training.ppo.learner import Learner
 from league.training.ppo.teacher import TaughtLearner, Teacher
 
 WARM_UP = 0.04  # Share of a stage before rivals become faster or slower: the cars learn to drive.
@@ -59,7 +60,7 @@ class Curriculum:
         hits = {"crash": dear * first.crash, "closing": dear * first.closing}
         worlds.change_weights(replace(first, **hits))
 
-    def add(self, update: Update, share: float) -> Update:
+    def add(self, update: UpdateRow, share: float) -> UpdateRow:
         """Move the rivals' pace after an update; return it with the shares of lately in its log."""
         attacks, passed, clean = (
             self._rows * update.log[f"/race/{name}"] for name in ("attacks", "passed", "clean")
@@ -113,7 +114,7 @@ class _OnCurriculum(Learner):
         super().__init__(make_env.make(tracks, cfg, guests=guests, reward=reward), cfg, *teacher)
         self.curriculum = Curriculum(self.env.num_envs * cfg.ppo.rollout)
 
-    def _learn(self, share: float) -> Update:
+    def _learn(self, share: float) -> UpdateRow:
         self.curriculum.prepare(self.env.race_env, share)
         return self.curriculum.add(super()._learn(share), share)
 

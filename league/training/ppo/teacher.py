@@ -27,10 +27,9 @@ from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.sim.config import SensorConfig
 from league.track.track import TrackSet
 from league.training.config import TrainConfig
-from league.training.monitor.history import TEACHING
+from league.training.monitor.history import TEACHING, UpdateRow
 from league.training.ppo import distributed, make_env, symmetry
-from league.training.ppo.learner import Learner, Update
-from league.training.ppo.statistics import EpisodeStatistics
+from league.training.ppo.learner import Learner
 
 NOISE_SHARE = 0.375  # Share of the first noise for a taught policy: it need not find the way alone.
 
@@ -88,16 +87,11 @@ class TaughtLearner(Learner):
         return self.updates > self.teacher.updates
 
     @property
-    def episodes(self) -> EpisodeStatistics:
-        """Statistics of the last episodes of the one that learns."""
-        return super().episodes if self.has_learnt else self.teacher.episodes
-
-    @property
     def shown(self) -> tuple[RacingVecEnv, ...]:
         """The worlds of both."""
         return (self.env, self.teacher.env)
 
-    def update(self, share: float) -> Update:
+    def update(self, share: float) -> UpdateRow:
         """Update the teacher, or the policy; see Learner."""
         share, until = distributed.agreed(share), self.cfg.teacher
         if share < until and not self.has_learnt:
