@@ -62,13 +62,13 @@ def checked(action: object, name: str, rows: int | None = None) -> np.ndarray:
         ActionError: not real numbers, the wrong shape, or a number outside [-1, 1].
     """
     numbers = real_numbers(action, name, (SIZE,) if rows is None else (rows, SIZE))
-    if rows is None:  # plain numbers, because NumPy takes longer over two
-        steering, speed = numbers.tolist()
+    if numbers.size == SIZE:  # plain numbers, because NumPy takes longer over two
+        steering, speed = numbers.ravel().tolist()
         if -1.0 <= steering <= 1.0 and -1.0 <= speed <= 1.0:
             return numbers
     elif np.abs(numbers).max() <= 1.0:
         return numbers
-    else:
+    if rows is not None:
         row = int(np.argmin(valid_rows(numbers)))
         name, numbers = f"{name}, row {row},", numbers[row]
     raise ActionError(

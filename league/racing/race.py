@@ -204,8 +204,8 @@ class Batch:
         for index, race in enumerate(self._races):
             for car in range(self._env.num_cars):
                 seat = index, car
-                if seat not in self._pool.idle and race.fault(car, bool(faults[seat])):
-                    self._pool.idle.add(seat)
+                if not self._pool.idle[seat] and race.fault(car, bool(faults[seat])):
+                    self._pool.idle[seat] = True
                     self._env.retire(car, index)
 
     def _follow(self, step: Step) -> None:
@@ -217,16 +217,14 @@ class Batch:
         for name in ("mistake", "lap", "released", "was_hit", "touched", "forced_off"):
             cars |= verdicts[name]
         eventful = np.any(cars, axis=1).tolist()
-        ended = (step.terminated | step.truncated).tolist()
-        for index, race in enumerate(self._races):
+        ended = np.all(step.terminated | step.truncated | idle, axis=1).tolist()
+        for index, (race, over) in enumerate(zip(self._races, ended, strict=True)):
             if race.result:
                 continue
-            seats = [(index, car) for car in range(env.num_cars)]
-            over = all(ended[index][car] or (index, car) in idle for index, car in seats)
             news = (verdicts[index], scraped[index]) if eventful[index] else None
             race.follow(env.world.row(index), news, over)
             if over and len(self._races) > 1:
-                idle.update(seats)
+                idle[index] = True
                 env.retire(slice(None), index)
 
 

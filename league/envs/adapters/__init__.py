@@ -36,6 +36,11 @@ def load_drivers(
                 "sensors, reset(rows) and act(observations)"
             )
         loaded.append(driver)
+    if len({id(driver) for driver in loaded}) < len(loaded):
+        raise ConfigError(
+            "one driver object is given for two cars, and would mix their memories: "
+            "give one object for each car"
+        )
     return tuple(loaded)
 
 

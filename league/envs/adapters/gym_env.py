@@ -10,15 +10,16 @@ from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from league.agents.rollout import DriverPool
 from league.envs import make
-from league.envs.actions import SIZE, checked
+from league.envs.actions import checked
 from league.envs.adapters import load_drivers, load_reward, spaces
 from league.envs.adapters.rendering import EnvRenderer
-from league.envs.driver import Driver, Opponents
+from league.envs.driver import Driver
 from league.envs.make import EnvOptions
 from league.envs.race_env import RaceEnv, Step
 from league.errors import ActionError, ConfigError, brief
-from league.sim.config import RaceKind, SensorConfig
+from league.sim.config import RaceKind
 from league.track.track import Track, TrackSet
 
 Observation = dict[str, np.ndarray]
@@ -56,46 +57,38 @@ class LearnerEnv:
         make.check_whole("car", car, 0)
         if car > len(drivers):
             raise ConfigError(f"car is {car}: the field has {len(drivers) + 1} cars, from 0")
-        others = [slot for slot in range(len(drivers) + 1) if slot != car]
-        carried: dict[int, SensorConfig] = {
-            slot: driver.sensors for slot, driver in zip(others, drivers, strict=True)
-        }
-        carried[car] = make.sensors_of_car(sensors)
+        field, own = [*drivers[:car], None, *drivers[car:]], make.sensors_of_car(sensors)
         cfg = make.configure(
             kind=kind,
-            sensors=tuple(carried[slot] for slot in sorted(carried)),
-            num_cars=len(carried),
-            restarting=tuple(others),
+            sensors=tuple(own if driver is None else driver.sensors for driver in field),
+            num_cars=len(field),
+            restarting=tuple(slot for slot in range(len(field)) if slot != car),
             **options,
         )
         reward = load_reward(options.get("reward"), tracks, cfg, num_worlds, (car,))
         self.env, self.car = RaceEnv(tracks, cfg, num_worlds=num_worlds, reward=reward), car
         self.sensors, self.infos = cfg.sensors_of(car), spaces.Infos(self.env, car)
-        self._opponents = Opponents(dict(zip(others, drivers, strict=True)))
-        self._actions = np.zeros((num_worlds, len(carried), SIZE), np.float32)
+        self._drivers = DriverPool([field] * num_worlds, strict=True)
 
     def reset(self, seeds: list[int]) -> Mapping[str, np.ndarray]:
         """Start all races; return the learner's observations."""
-        self._opponents.reset()
-        self._observations = self.env.reset(seeds=seeds)
-        return self._observations[self.car]
+        self._drivers.reset()
+        return self.env.reset(seeds=seeds)[self.car]
 
     def step(
         self, actions: np.ndarray, restart: np.ndarray | None = None, seeds: list[int] | None = None
     ) -> Step:
         """Drive the learner by (num_worlds, 2) actions, the others by drivers; see RaceEnv.step."""
-        self._actions[:, self.car] = actions
-        if not self._opponents.cars:
-            return self.env.step(self._actions, restart=restart, seeds=seeds)
-        actions = self._opponents.act(self._actions, self._observations)
-        step = self.env.step(actions, restart=restart, seeds=seeds)
-        self._opponents.forget(step.began)
+        driven = self._drivers.act(self.env.observations)
+        driven[:, self.car] = actions
+        step = self.env.step(driven, restart=restart, seeds=seeds)
+        self._drivers.reset(step.began)
         return step
 
     def restart(self, worlds: np.ndarray, seeds: list[int]) -> None:
         """Start some races again between two steps; bool (num_worlds,), see RaceEnv."""
         self.env.restart(worlds, seeds)
-        self._opponents.forget(np.broadcast_to(worlds[:, None], self._actions.shape[:2]))
+        self._drivers.reset(np.broadcast_to(worlds[:, None], self.env.world.cars.shape))
 
 
 class Seeds:

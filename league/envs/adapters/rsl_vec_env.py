@@ -12,11 +12,12 @@ from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 from torch import Tensor
 
+from league.agents.rollout import DriverPool
 from league.envs import make
 from league.envs.actions import SIZE, ActionSpace, finite, to_actions
 from league.envs.adapters import load_drivers, load_reward
 from league.envs.config import EnvConfig, RewardConfig
-from league.envs.driver import Driver, Guests, Opponents, check_field
+from league.envs.driver import Driver, check_field
 from league.envs.make import EnvOptions
 from league.envs.race_env import RaceEnv, Step
 from league.envs.scenarios import CLEAN, NO_ATTACK, PASSED
@@ -59,7 +60,7 @@ class RacingVecEnv(VecEnv):
         num_worlds: int = 64,
         learners: Sequence[int] = (0,),
         opponents: Mapping[int, Driver | str] | None = None,
-        guests: Mapping[int, Guests] | None = None,
+        guests: Mapping[int, Sequence[Driver]] | None = None,
         action_space: ActionSpace | None = None,
         as_bytes: bool = False,
         seed: int = 0,
@@ -79,7 +80,8 @@ class RacingVecEnv(VecEnv):
             learners: cars that learn, all with the same sensors.
             opponents: driver, or its name, of each other car; without `cfg` by default one follows
                 the centreline in a head_to_head race.
-            guests: drivers of learners' cars in the first worlds; there these cars have no row.
+            guests: drivers of learners' cars, one for each of the first worlds, in which the car
+                then has no row; the same object may have several worlds.
             action_space: what the rows' actions mean; None: steering and speed in [-1, 1].
             as_bytes: keep pictures as bytes, a quarter of the memory, for networks that scale them.
             seed: makes the worlds' seeds.
@@ -127,12 +129,14 @@ class RacingVecEnv(VecEnv):
         check_field(cfg, learners, drivers)
         loaded = load_drivers(list(drivers.values()), tracks, cfg.sim.car)
         by_car = dict(zip(drivers, loaded, strict=True))
-        self._opponents = Opponents(by_car, guests)
+        cars = range(cfg.sim.num_cars)
+        fields = [[by_car.get(car) for car in cars] for _ in range(num_worlds)]
+        for car, first in (guests or {}).items():
+            for world, guest in enumerate(first):
+                fields[world][car] = guest
+        self._drivers = DriverPool(fields, strict=True)
         self.learners = tuple(learners)
-        carried = [
-            by_car[car].sensors if car in by_car else cfg.sensors_of(car)
-            for car in range(cfg.sim.num_cars)
-        ]
+        carried = [by_car[car].sensors if car in by_car else cfg.sensors_of(car) for car in cars]
         self.cfg: EnvConfig = replace(cfg, sensors=tuple(carried))  # type: ignore
         self.device = _device(device)
         self._gpu_camera, renderers = None, None
@@ -152,9 +156,7 @@ class RacingVecEnv(VecEnv):
             renderers=renderers,
         )
         self._as_bytes = as_bytes
-        learning = np.ones((num_worlds, len(self.learners)), np.bool_)
-        for car, guest in (guests or {}).items():
-            learning[: guest.num_worlds, self.learners.index(car)] = False
+        learning = np.array([[field[car] is None for car in self.learners] for field in fields])
         self.row_worlds, mine = np.nonzero(learning)
         self.row_cars = np.array(self.learners)[mine]
         """World and car of each row, int64 (num_envs,)."""
@@ -175,7 +177,7 @@ class RacingVecEnv(VecEnv):
             seed: makes the worlds' own seeds.
             track_index: other tracks than before for the worlds, (num_worlds,).
         """
-        self._opponents.reset()
+        self._drivers.reset()
         self._env.reset(seed=seed, track_index=track_index)
         self._laps_driven = torch.zeros(self.num_envs, device=self.device)
         return self.get_observations()
@@ -230,13 +232,12 @@ class RacingVecEnv(VecEnv):
         rows = finite(actions, "the rows", (self.num_envs, self.num_actions))
         if self.action_space is not None:
             rows = to_actions(self.action_space, rows, self.cfg.sim.car)
-        driven = self._env.last_action
+        driven = self._drivers.act(self._env.observations)
         driven[self.row_worlds, self.row_cars] = rows.clip(-1.0, 1.0)
-        driven = self._opponents.act(driven, self._env.observations)
         step = self._env.step(driven)
         if self.watch is not None:
             self.watch(self._env.world)
-        self._opponents.forget(step.began)
+        self._drivers.reset(step.began)
         dones = self._rows(step.terminated | step.truncated).to(torch.int64)
         lengths = self._env.tracks.length[self._env.world.track[self.row_worlds]]
         laps = self._rows(step.verdicts["advance"]) / torch.from_numpy(lengths).to(self.device)

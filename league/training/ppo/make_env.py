@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig, Scenarios
-from league.envs.driver import Driver, Guests
+from league.envs.driver import Driver
 from league.envs.rewards import Reward
 from league.errors import ConfigError, brief
 from league.sim.config import (
@@ -129,7 +129,7 @@ def make(
     cfg: TrainConfig,
     *,
     opponents: Mapping[int, Driver | str] | None = None,
-    guests: Mapping[int, Guests] | None = None,
+    guests: Mapping[int, Sequence[Driver]] | None = None,
     reward: Reward | None = None,
 ) -> RacingVecEnv:
     """Build the worlds: in each, the cars without an opponent's driver learn.

@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 from league.agents import roster
-from league.envs.driver import Guests
+from league.envs.driver import Driver
 from league.envs.race_env import RaceEnv
 from league.envs.rewards import PRESETS, Reward
 from league.sim.config import CarConfig
@@ -90,13 +90,16 @@ class Curriculum:
             setattr(self, name, float(state[name]))
 
 
-def scripted_drivers(tracks: TrackSet, num_worlds: int) -> Guests:
-    """Load the scripted drivers of one car; none on several tracks, because each knows one."""
-    drivers = SCRIPTED.items() if len(tracks.tracks) == 1 else ()
-    loaded = [
-        (round(share * num_worlds), roster.load(name, tracks, CAR)) for name, share in drivers
-    ]
-    return Guests(loaded)
+def scripted_drivers(tracks: TrackSet, num_worlds: int) -> list[Driver]:
+    """Load scripted drivers of one car, one for each of the first worlds, several for each name.
+
+    There are none on several tracks, because each knows one.
+    """
+    drivers: list[Driver] = []
+    if len(tracks.tracks) == 1:
+        for name, share in SCRIPTED.items():
+            drivers += [roster.load(name, tracks, CAR)] * round(share * num_worlds)
+    return drivers
 
 
 class _OnCurriculum(Learner):
