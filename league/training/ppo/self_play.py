@@ -8,6 +8,7 @@ of the rivals follows success. docs/self_play.md has the measurements.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -29,9 +30,7 @@ SLACK = 0.1  # How far below that share rivals become slower.
 PACE_STEP = 2.5  # How much the rivals' largest top speed changes over a whole stage of success.
 FIRST_PACE, LEAST_PACE, RANGE = 0.70, 0.60, 0.12
 """Largest top speed of rivals at first and at least, and how far below it the smallest lies."""
-DEAR = 6.0
-"""Price of a hard contact at the end of a stage, in its first: more than a pass earns. A light one
-stays cheap: a car that must not touch at all waits for mistakes."""
+DEAR = 6.0  # Price of a hard contact at the end of a stage, in its first: more than a pass earns.
 SPREAD = 0.5  # Least randomisation of the cars; see TrainConfig.
 SCRIPTED = {"racing_line": 0.25, "centerline": 0.125, "cautious": 0.125, "blocker": 0.125}
 """Shares of the worlds in which scripted drivers have the last car. As being hit costs, too, cars
@@ -43,11 +42,14 @@ _KEPT = ("pace", "share", "attacks", "passed", "clean")  # what a curriculum's s
 
 
 class Curriculum:
-    """Rivals as fast as can just be passed, and hard contacts that become dear, over one stage."""
+    """Rivals as fast as can just be passed, and contacts that become dear, over one stage."""
 
-    def __init__(self, rows: int) -> None:
-        """Start with slow rivals and cheap contacts, for updates of so many decisions."""
-        self._rows = rows
+    def __init__(self, rows: int, dear: Sequence[str]) -> None:
+        """Start with slow rivals and cheap contacts, for updates of so many decisions.
+
+        `dear` are the weights of the reward that grow.
+        """
+        self._rows, self._dear = rows, dear
         self.pace = FIRST_PACE  # largest top speed of rivals, as a share of the fastest car's
         self.share = self.attacks = self.passed = self.clean = 0.0
 
@@ -56,9 +58,9 @@ class Curriculum:
         assert worlds.cfg.scenarios is not None
         rivals = {"fastest_rival": self.pace, "slowest_rival": self.pace - RANGE}
         worlds.change_scenarios(replace(worlds.cfg.scenarios, **rivals))
-        first, dear = PRESETS["race"], 1.0 + (DEAR - 1.0) * min(share / 0.8, 1.0)
-        hits = {"crash": dear * first.crash, "closing": dear * first.closing}
-        worlds.change_weights(replace(first, **hits))
+        first, grown = PRESETS["race"], 1.0 + (DEAR - 1.0) * min(share / 0.8, 1.0)
+        prices = {name: grown * getattr(first, name) for name in self._dear}
+        worlds.change_weights(replace(first, **prices))
 
     def add(self, update: UpdateRow, share: float) -> UpdateRow:
         """Move the rivals' pace after an update; return it with the shares of lately in its log."""
@@ -105,6 +107,9 @@ def scripted_drivers(tracks: TrackSet, num_worlds: int) -> list[Driver]:
 class _OnCurriculum(Learner):
     """A learner of all cars, among rivals as fast as it can pass."""
 
+    dear: tuple[str, ...] = ("crash", "closing")
+    """Weights that grow: a car that must not touch lightly either waits for mistakes."""
+
     def __init__(
         self,
         tracks: TrackSet,
@@ -115,7 +120,7 @@ class _OnCurriculum(Learner):
         """Build worlds, networks and storage; the teacher, if any, learns in worlds of its own."""
         guests = {cfg.num_cars - 1: scripted_drivers(tracks, cfg.num_worlds)}
         super().__init__(make_env.make(tracks, cfg, guests=guests, reward=reward), cfg, *teacher)
-        self.curriculum = Curriculum(self.env.num_envs * cfg.ppo.rollout)
+        self.curriculum = Curriculum(self.env.num_envs * cfg.ppo.rollout, self.dear)
 
     def _learn(self, share: float) -> UpdateRow:
         self.curriculum.prepare(self.env.race_env, share)
@@ -140,6 +145,8 @@ class Racer(_OnCurriculum, Teacher):
 
 class RacingLearner(_OnCurriculum, TaughtLearner):
     """A learner with its own sensors, which learns to race from a Racer, and against itself."""
+
+    dear = ("crash", "closing", "touch")  # Its teacher has shown it how to pass.
 
 
 def make_racing(tracks: TrackSet, cfg: TrainConfig, *, reward: Reward | None = None) -> Learner:
