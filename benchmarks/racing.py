@@ -71,13 +71,16 @@ def measure(path: str, cfg: DuelConfig) -> dict[str, Figure]:
     last = duels.from_behind(cfg, [*map(load, ["centerline"] * 3), load(path)], [1.0] * 4)
     show("from last of four against three centerline: won", 100 * last.passed, "%", 90)
     names, finished = ", ".join(MIXED), []
-    row = table(f"place of four with {names}", "won", "places gained", "cars that finish")
+    columns = ("won", "places gained", "cars that finish", "hard/race", "off/race")
+    row = table(f"place of four with {names}", *columns)
     for place in range(4):
         field = [*map(load, MIXED)]
         field.insert(place, load(path))
         seen = duels.from_place(cfg, field, [1.0] * 4, place)
         finished.append(seen.finished)
-        row(place + 1, f"{seen.passed:.2f}", f"{seen.places:.2f}", f"{seen.finished:.3f}")
+        mistakes = (seen.hard_contacts / cfg.races, seen.off_tracks / cfg.races)
+        rates = (f"{seen.passed:.2f}", f"{seen.places:.2f}", f"{seen.finished:.3f}")
+        row(place + 1, *rates, *(f"{rate:.2f}" for rate in mistakes))
     show(f"from last of four against {names}: won", 100 * seen.passed, "%")
     show("cars of these races that finish", 100 * statistics.fmean(finished), "%", 100)
     twice_s = duels.solo_lap(cfg, load(path)) / HALF_PACE

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The commands that made the policies in this folder, about three hours in all, each on one core.
+# The commands that made the policies in this folder, about two and a half hours in all, each on one core.
 # Usage: garage/train.sh [rookie racer dodger novice duelist globetrotter ...]
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -32,10 +32,9 @@ novice() {  # a minute of time trial
     train novice --seed 2 --action-space 1-4 --minutes 1
 }
 duelist() {  # wheel to wheel: on the true state, then with cameras, lidar and a short memory
-    # The policy here is of 27 November, when light touches were dear (docs/self_play.md).
-    train duelist --seed 3 --kind head_to_head --self-play --cars 4 --teacher 0.195 --minutes 77 \
-        --threads 1 --sensors stereo64x48 sectors history4 frames2 --eval-every 10
-    .venv/bin/league train --out garage/duelist.pt --plain --resume --minutes 110
+    train duelist --seed 3 --kind head_to_head --self-play --cars 4 --teacher 0.8696 \
+        --steps 41400000 --threads 1 --sensors stereo64x48 discretised16x8@1 history4 frames2 \
+        --eval-every 10
 }
 globetrotter() {  # random tracks only, with random cars and looks: drives any track at first sight
     train globetrotter --track generated:768 --action-space 0.5-3 --num-worlds 128 \
