@@ -65,7 +65,10 @@ class DriverPool:
         Raises:
             ActionError: an answer is no action, in a strict pool.
         """
-        driven, some_idle = self._no_actions.copy(), np.count_nonzero(self.idle)
+        driven = self._no_actions.copy()
+        if not self._drivers:
+            return driven
+        some_idle = np.count_nonzero(self.idle)
         limited = self._patience_s < math.inf  # Reading the clock takes a while.
         for driver, seats, index in self._drivers:
             if some_idle and self.idle[index].all():
