@@ -6,6 +6,7 @@ import pytest
 from league.race_spec import CarResult, Entry, Event, RaceResult, RaceSpec
 from league.replay.broadcast import (
     HOLD_S,
+    PACK,
     SHORTEST_S,
     Commentator,
     Director,
@@ -239,6 +240,21 @@ def test_the_camera_cuts_when_a_fight_is_decided_and_no_shot_is_too_short():
     cut = next(k for k, shot in enumerate(seen) if shot.front != seen[0].front)
     assert (seen[0].front, seen[-1].front, seen[-1].rear) == (0, 2, 3)
     assert cut * STEP_S == pytest.approx(29 * STEP_S + HOLD_S, abs=1.1 * STEP_S)
+
+
+@pytest.mark.parametrize("second_m", [21.0, 2.0], ids=["alone", "chased"])
+def test_the_winner_is_seen_to_cross_the_line(second_m):
+    # A leads; C and D fight far behind. A has driven the race of 60 m in step 100.
+    director, seen = Director(race_m=60.0), []
+    for step in range(300):
+        first = 50.0 + 0.1 * step
+        home = [0] if step >= 100 else []
+        cars = scene([first, first - second_m, first - 30.0, first - 30.3], ghost=home)
+        seen.append(director.add(step * STEP_S, cars))
+    assert (seen[49].front, seen[49].rear) == (2, 3)
+    winner = (0, 1) if second_m < PACK else (0, 0)
+    assert {(shot.front, shot.rear) for shot in seen[51 : 100 + int(HOLD_S / STEP_S)]} == {winner}
+    assert (seen[-1].front, seen[-1].rear) == (2, 3)
 
 
 def test_two_fights_as_close_as_each_other_make_no_flicker():

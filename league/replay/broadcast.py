@@ -32,6 +32,7 @@ BACK_S = 10.0  # a pass so soon after being passed takes the place back [s]
 PACK = 3.0  # two cars this close along the track [m] are in one picture
 SHORTEST_S = 2.5  # no shot is shorter [s]
 HOLD_S = 1.5  # a fight that is decided is still shown for so long [s]
+FINISH = 5.0  # from here on the winner is shown until it has crossed the line [m]
 CLOSER = 0.5  # another fight is worth a cut if its gap is at most this share of the present one's
 SMOOTHING_S = 0.45  # how slowly the chase camera turns; it moves three times as fast [s]
 
@@ -246,6 +247,12 @@ def lap_of_pursuit(spec: RaceSpec, track: Track) -> float:
     return track.length if spec.format == "pursuit" else 0.0
 
 
+def length_of_race(spec: RaceSpec, track: Track) -> float:
+    """Return after how many metres a car has won; infinite where lap times decide."""
+    laps = spec.laps if track.closed else 1
+    return laps * track.length if spec.ranking == "total" else np.inf
+
+
 def places_m(cars: Cars, pursuit_m: float) -> np.ndarray:
     """Return how far ahead each car is, (num_cars,) [m]: cars that fight have near places.
 
@@ -341,9 +348,9 @@ class Shot:
 class Director:
     """Chooses what to show step by step; the same for a film and a live view."""
 
-    def __init__(self, pursuit_m: float = 0.0) -> None:
-        """Begin before the start; `pursuit_m` is what `lap_of_pursuit` returns."""
-        self._pursuit_m = pursuit_m
+    def __init__(self, pursuit_m: float = 0.0, race_m: float = np.inf) -> None:
+        """Begin before the start, with what `lap_of_pursuit` and `length_of_race` return."""
+        self._pursuit_m, self._race_m = pursuit_m, race_m
         self.shot: Shot | None = None  # what is shown; None before the first step
         self._open_s = 0.0  # when the fight of this shot was last undecided
 
@@ -382,6 +389,13 @@ class Director:
         if gap is not None and gap <= PACK:
             self._open_s = time_s
         if np.asarray(cars["ghost"]).all():
+            return shot
+        first = int(np.argmax(cars["distance"]))
+        if 0.0 < self._race_m - cars["distance"][first] <= FINISH and not cars["ghost"][first]:
+            if first not in (shot.front, shot.rear):
+                near = [pair for pair, gap in gaps.items() if pair[0] == first and gap <= PACK]
+                shot = Shot(*(near[0] if near else (first, first)), time_s)
+            self.shot, self._open_s = shot, time_s
             return shot
         best = _best(gaps, cars, time_s)
         decided = time_s - self._open_s >= HOLD_S
@@ -447,7 +461,8 @@ def chase_path(replay: Replay) -> ChasePath:
     """
     from scipy.ndimage import gaussian_filter1d  # late: SciPy takes a while
 
-    columns, director = replay.columns, Director(lap_of_pursuit(replay.spec, replay.track))
+    spec, track, columns = replay.spec, replay.track, replay.columns
+    director = Director(lap_of_pursuit(spec, track), length_of_race(spec, track))
     subject, rival = (np.empty(replay.num_frames, np.int64) for _ in range(2))
     gap = np.empty(replay.num_frames)  # between these two [m]
     take, fights = np.zeros(replay.num_frames, np.int64), []

@@ -11,7 +11,7 @@ import rerun as rr
 
 from league import times
 from league.race_spec import Event, RaceResult, RaceSpec
-from league.replay.broadcast import PACK, Commentator, Director, lap_of_pursuit
+from league.replay.broadcast import PACK, Commentator, Director, lap_of_pursuit, length_of_race
 from league.rerun_view import layout, record
 from league.rerun_view.scene import SceneWriter, positions, rotation, speeds
 from league.rerun_view.viewer import Stream
@@ -43,7 +43,7 @@ class Live:
         self._chase: np.ndarray | None = None
         lap_m = lap_of_pursuit(spec, track)
         self._commentator = Commentator(spec, self._names, closed=track.closed, pursuit_m=lap_m)
-        self._director = Director(lap_m)
+        self._director = Director(lap_m, length_of_race(spec, track))
         self._events = list[Event]()
         self._writer = SceneWriter(stream.recording, track, self._names, self._step_hz)
         kind, laps = spec.kind.replace("_", " "), times.laps(spec.laps)
