@@ -87,6 +87,10 @@ class RaceSpec(FrozenModel):
         """Kind, track and laps for people, "time trial on reinvent_2018, 3 laps"."""
         return f"{self.kind.replace('_', ' ')} on {self.track}, {times.laps(self.laps)}"
 
+    def laps_on(self, *, closed: bool) -> int:
+        """Return how many laps are driven: on a track that is not closed, one."""
+        return self.laps if closed else 1
+
     @model_validator(mode="before")
     @classmethod
     def _with_usual_obstacles(cls, settings: object) -> object:

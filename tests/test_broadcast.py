@@ -11,8 +11,10 @@ from league.replay.broadcast import (
     Commentator,
     Director,
     Remark,
+    length_of_race,
     shortened,
 )
+from tests.scenes import make_ring, make_straight
 
 STEP_S = 1 / 15
 
@@ -255,6 +257,13 @@ def test_the_winner_is_seen_to_cross_the_line(second_m):
     winner = (0, 1) if second_m < PACK else (0, 0)
     assert {(shot.front, shot.rear) for shot in seen[51 : 100 + int(HOLD_S / STEP_S)]} == {winner}
     assert (seen[-1].front, seen[-1].rear) == (2, 3)
+
+
+def test_a_race_is_as_long_as_its_laps_where_the_first_at_the_line_wins():
+    ring, straight = make_ring(), make_straight()
+    assert length_of_race(spec(), ring) == spec().laps * ring.length
+    assert length_of_race(spec(), straight) == straight.length
+    assert length_of_race(spec(ranking="best"), ring) == np.inf
 
 
 def test_two_fights_as_close_as_each_other_make_no_flicker():

@@ -116,7 +116,8 @@ class Race:
             sys.stderr.flush()
         quiet = self.json or not sys.stderr.isatty()
         with tables.progress(disable=quiet) as progress:
-            bar = progress.add_task("Racing", total=spec.laps * track.length)
+            length = spec.laps_on(closed=track.closed) * track.length
+            bar = progress.add_task("Racing", total=length)
 
             def watch(world: World) -> None:
                 progress.update(bar, completed=max(float(world.cars["best_distance"].max()), 0.0))

@@ -1,7 +1,7 @@
 """A race as it is broadcast: its story in sentences, and which cars the camera follows.
 
 The story tells of attacks, passes, contacts, gaps at the line and the winner; the director follows
-the closest fight, and cuts when it is decided.
+the closest fight, cuts when it is decided, and at the end shows the winner cross the line.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -30,7 +30,7 @@ QUIET_S = 5.0  # the same pair is not mentioned as attacking or level again for 
 AFTER_START_S = 1.5  # on the grid all cars are close to each other [s]
 BACK_S = 10.0  # a pass so soon after being passed takes the place back [s]
 PACK = 3.0  # two cars this close along the track [m] are in one picture
-SHORTEST_S = 2.5  # no shot is shorter [s]
+SHORTEST_S = 2.5  # no shot is shorter, but for one that the winner's finish ends [s]
 HOLD_S = 1.5  # a fight that is decided is still shown for so long [s]
 FINISH = 5.0  # from here on the winner is shown until it has crossed the line [m]
 CLOSER = 0.5  # another fight is worth a cut if its gap is at most this share of the present one's
@@ -83,7 +83,7 @@ class Commentator:
         returns.
         """
         self._spec, self._names, self._pursuit_m = spec, names, pursuit_m
-        self._laps = spec.laps if closed else 1
+        self._laps = spec.laps_on(closed=closed)
         self._before: tuple[float, dict[str, np.ndarray]] | None = None  # time, columns of cars
         self._fights: dict[frozenset[int], _Fight] = {}
         self._lap_times_s: list[list[float]] = [[] for _ in names]
@@ -249,8 +249,8 @@ def lap_of_pursuit(spec: RaceSpec, track: Track) -> float:
 
 def length_of_race(spec: RaceSpec, track: Track) -> float:
     """Return after how many metres a car has won; infinite where lap times decide."""
-    laps = spec.laps if track.closed else 1
-    return laps * track.length if spec.ranking == "total" else np.inf
+    length = spec.laps_on(closed=track.closed) * track.length
+    return length if spec.ranking == "total" else np.inf
 
 
 def places_m(cars: Cars, pursuit_m: float) -> np.ndarray:
