@@ -11,7 +11,7 @@ race: sync
 
 # A league in runs/league/: the garage and the scripted drivers, raced for about two minutes, longer on
 # a slow machine: a season that is over, with a cup of all of them, and one that is running. All
-# policies of the garage are one owner's, whose entries meet only with --same-owner. With a league
+# policies of the garage are one owner's: its entries meet each other only with --same-owner. With a league
 # there, its season is raced on.
 LEAGUE := sqlite:///runs/league/league.db
 league: sync

@@ -5,7 +5,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 export OMP_WAIT_POLICY=PASSIVE
 
-train() {  # train NAME FLAG ...: anew, into this folder
+train() {  # train NAME FLAG ...: train a policy into this folder
     local name=$1
     shift
     [[ " $* " == *" --seed "* ]] || set -- --seed 1 "$@"

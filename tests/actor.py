@@ -59,13 +59,13 @@ class Actor(nn.Module):
         )
         self.mlp = _connected(cfg, weights["mlp.0.weight"][1], outputs)
 
-    def forward(self, told: Mapping[str, Tensor]) -> Tensor:
+    def forward(self, observations: Mapping[str, Tensor]) -> Tensor:
         """Return outputs, (num_rows, outputs), of groups, each (num_rows, *shape)."""
         parts: list[Tensor] = []
         if self.flat:
-            flat = torch.cat([told[group] for group in self.flat], dim=-1)
+            flat = torch.cat([observations[group] for group in self.flat], dim=-1)
             parts.append(flat if self.obs_normalizer is None else self.obs_normalizer(flat))
-        parts += [self.cnns[group](told[group]) for group in self.pictures]
+        parts += [self.cnns[group](observations[group]) for group in self.pictures]
         return self.mlp(torch.cat(parts, dim=-1))
 
 
@@ -87,9 +87,9 @@ def _convolutions(cfg: NetworkConfig, channels: int) -> nn.Sequential:
     return nn.Sequential(*layers, nn.Flatten(start_dim=1))
 
 
-def _connected(cfg: NetworkConfig, told: int, outputs: int) -> nn.Sequential:
+def _connected(cfg: NetworkConfig, inputs: int, outputs: int) -> nn.Sequential:
     layers: list[nn.Module] = []
     for size in cfg.hidden:
-        layers += [nn.Linear(told, size), _ACTIVATIONS[cfg.activation]()]
-        told = size
-    return nn.Sequential(*layers, nn.Linear(told, outputs))
+        layers += [nn.Linear(inputs, size), _ACTIVATIONS[cfg.activation]()]
+        inputs = size
+    return nn.Sequential(*layers, nn.Linear(inputs, outputs))

@@ -43,7 +43,7 @@ RING_LENGTH = 12.0
 
 
 def make_ring(*, clockwise: bool = False, width: float = 0.8, points: int = 240) -> Track:
-    """Return a circle whose centreline is points * 5 cm long, starting at (0, 0) heading +x."""
+    """Return a circle with a centreline of points * 5 cm, starting at (0, 0) heading +x."""
     radius = 0.025 / math.sin(math.pi / points)
     turn = 2 * math.pi * np.arange(points) / points
     side = -1.0 if clockwise else 1.0
@@ -260,7 +260,7 @@ def taken(groups_of_cars: Iterable[Mapping[str, np.ndarray]]) -> list[dict[str, 
 def follow_center(
     groups: Mapping[str, np.ndarray], speed: float = 1.5, lateral: float = 0.0
 ) -> np.ndarray:
-    """Return actions that follow the centreline, or a line beside it: a driver for tests."""
+    """Return actions that follow the centreline, or a line next to it: a driver for tests."""
     state = groups["state"]
     error = 1.5 * (state[:, INDEX["lateral"]] - lateral) + 2.5 * state[:, INDEX["heading_error"]]
     steering = np.arctan(0.164 * (state[:, INDEX["curvature_0.25m"]] - error)) / 0.5236

@@ -38,7 +38,7 @@ def scene(distance, speed=2.0, ghost=(), laps=0):
     }
 
 
-def told(gaps, events=None, cars=2):
+def story_of(gaps, events=None, cars=2):
     """Return what is said while car 1 is so far behind car 0 [m], a number for each step."""
     commentator, lines = Commentator(spec(cars), "ABCD"[:cars]), []
     for step, gap in enumerate(gaps):
@@ -57,40 +57,40 @@ def event(kind, car=0, other=None, value=None, step=0):
 
 
 def test_a_car_that_comes_closer_attacks_with_the_gap_in_seconds():
-    (line,) = told([0.9, 0.75, 0.6, 0.6, 0.6])
+    (line,) = story_of([0.9, 0.75, 0.6, 0.6, 0.6])
     assert (line.kind, line.car, line.lap) == ("attack", 1, 1)
     assert line.text == "B attacks A, 0.30 s behind"  # 0.6 m at 2 m/s
     assert line.stamped == "lap 1, 0:02.1: B attacks A, 0.30 s behind"
 
 
 def test_who_only_follows_attacks_nobody():
-    assert told([0.6] * 30) == []
+    assert story_of([0.6] * 30) == []
 
 
 def test_an_attacker_that_falls_back_was_held_off_and_after_a_pass_nobody_was():
     there_and_back = [0.9, 0.6, 0.4, 0.6, 1.0, 1.6]
-    assert [line.text for line in told(there_and_back)][1:] == ["A defends against B"]
+    assert [line.text for line in story_of(there_and_back)][1:] == ["A defends against B"]
     passing = [0.9, 0.6, 0.4, 0.0, -0.4, -1.0, -1.6]
-    lines = told(passing, {4: [event("overtake", 1, 0, step=4)]})
+    lines = story_of(passing, {4: [event("overtake", 1, 0, step=4)]})
     assert kinds(lines) == ["attack", "side_by_side", "overtake"]
     assert lines[-1].text == "B passes A for the lead"
 
 
 def test_cars_are_side_by_side_before_one_passes_in_the_same_step():
-    lines = told([0.5, -0.1], {1: [event("overtake", 1, 0, step=1)]})
+    lines = story_of([0.5, -0.1], {1: [event("overtake", 1, 0, step=1)]})
     assert kinds(lines) == ["side_by_side", "overtake"]
 
 
 def test_a_pass_soon_answered_is_a_pass_back():
     swaps = {3: [event("overtake", 1, 0, step=3)], 9: [event("overtake", 0, 1, step=9)]}
     gaps = [0.6, 0.3, 0.0, -0.3, -0.4, -0.4, -0.3, 0.0, 0.2, 0.3]
-    passes = [line.text for line in told(gaps, swaps) if line.kind == "overtake"]
+    passes = [line.text for line in story_of(gaps, swaps) if line.kind == "overtake"]
     assert passes == ["B passes A for the lead", "A passes B back for the lead"]
 
 
 def test_pairs_close_to_each_other_for_long_are_not_mentioned_all_the_time():
     wobble = [0.5 + 0.15 * np.sin(step) for step in range(90)]
-    assert kinds(told(wobble)).count("attack") == 1
+    assert kinds(story_of(wobble)).count("attack") == 1
 
 
 def test_cars_that_cannot_collide_do_not_fight():

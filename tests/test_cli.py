@@ -68,13 +68,13 @@ def run_without_terminal(*arguments):
 
 def test_json_of_a_race_is_its_result(league):
     code, out, err = league("race", "centerline", *SHORT, "--json")
-    told = json.loads(out)
+    answer = json.loads(out)
     assert (code, err) == (0, "")
-    assert told["spec"]["kind"] == "time_trial"
-    assert told["order"][0]["name"] == "centerline"
-    assert told["order"][0]["finished"] is True
-    assert told["replay"] is None
-    assert {event["kind"] for event in told["events"]} >= {"start", "lap", "finish"}
+    assert answer["spec"]["kind"] == "time_trial"
+    assert answer["order"][0]["name"] == "centerline"
+    assert answer["order"][0]["finished"] is True
+    assert answer["replay"] is None
+    assert {event["kind"] for event in answer["events"]} >= {"start", "lap", "finish"}
 
 
 def test_race_leaves_a_replay_and_says_where(league, tmp_path):
@@ -343,18 +343,18 @@ def test_grid_follows_the_format_of_the_race(league):
         assert [entry["name"] for entry in spec["entries"]] == grid
     code, out, err = league("race", *drivers, *SHORT, "--format", "reverse")
     assert (code, err) == (0, "")
-    told = re.findall(r"Qualifying: (\w+)  (\S+)", out)
-    assert [name for name, _ in told] == ["racing_line", "cautious", "centerline"]
-    assert [lap for _, lap in told] == sorted(lap for _, lap in told)
+    qualified = re.findall(r"Qualifying: (\w+)  (\S+)", out)
+    assert [name for name, _ in qualified] == ["racing_line", "cautious", "centerline"]
+    assert [lap for _, lap in qualified] == sorted(lap for _, lap in qualified)
     assert "1 lap, reverse" in out
 
 
 def test_json_has_the_whole_story(league):
     race = "race", "blocker", "cautious", "racing_line", *SHORT
-    told = json.loads(league(*race, "--json")[1])["story"]
-    assert {line["kind"] for line in told} >= {"attack", "lap", "winner"}
-    assert [line["time_s"] for line in told] == sorted(line["time_s"] for line in told)
-    assert told[-1]["text"] in " ".join(league(*race)[1].split())
+    story = json.loads(league(*race, "--json")[1])["story"]
+    assert {line["kind"] for line in story} >= {"attack", "lap", "winner"}
+    assert [line["time_s"] for line in story] == sorted(line["time_s"] for line in story)
+    assert story[-1]["text"] in " ".join(league(*race)[1].split())
 
 
 def test_races_vary_with_the_seed_unless_that_is_switched_off(league):
@@ -478,12 +478,12 @@ def test_tracks_are_imported_from_files_and_folders_at_once(league, tmp_path):
     assert code == 2 and is_one_sentence(err) and "folder" in err
 
 
-def test_names_that_are_near_are_told_apart_from_all(league):
+def test_only_near_names_are_suggested(league):
     assert "; nearest: racing_line; or" in league("race", "racing_lin")[2]
     assert "; there are blocker, cautious," in league("race", "xyzzy")[2]
 
 
-def test_times_are_told_as_on_a_timing_screen():
+def test_times_are_shown_as_on_a_timing_screen():
     assert times.clock(0.0) == "0:00.000"
     assert times.clock(9.0666) == "0:09.067"
     assert times.clock(75.5) == "1:15.500"

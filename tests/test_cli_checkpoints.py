@@ -39,12 +39,12 @@ def test_card_is_shown_as_a_table_and_as_json(league, blind):
     assert "blind" in out
     assert "1,234 decisions" in out
     code, out, _ = league("card", "a.pt", "--json")
-    told = json.loads(out)
-    assert told["card"]["name"] == "blind"
-    assert told["digest"] == checkpoint.load(path).digest
+    answer = json.loads(out)
+    assert answer["card"]["name"] == "blind"
+    assert answer["digest"] == checkpoint.load(path).digest
 
 
-def test_export_writes_beside_the_checkpoint_or_where_told(league, blind, tmp_path):
+def test_export_writes_next_to_the_checkpoint_or_to_out(league, blind, tmp_path):
     pytest.importorskip("onnx")
     blind("a.pt")
     code, out, _ = league("export", "a.pt")
@@ -99,12 +99,12 @@ def test_onnx_files_that_make_no_sense_are_refused_in_one_sentence(league, blind
 def test_policy_is_raced_and_shown_by_its_files_name(league, blind):
     path = blind("a.pt")
     code, out, _ = league("race", "a.pt", "centerline", *SHORT, "--replay", "x.race", "--json")
-    told = json.loads(out)
+    answer = json.loads(out)
     assert code == 0
-    policy, scripted = told["spec"]["entries"]
+    policy, scripted = answer["spec"]["entries"]
     assert policy == {"name": "a", "digest": checkpoint.load(path).digest, "path": "a.pt"}
     assert scripted == {"name": "centerline", "digest": "", "path": ""}
-    assert {car["name"] for car in told["order"]} == {"a", "centerline"}
+    assert {car["name"] for car in answer["order"]} == {"a", "centerline"}
 
 
 def test_race_is_verified_with_the_policy_it_was_driven_by(league, blind, tmp_path):
@@ -128,13 +128,13 @@ def test_race_is_verified_with_the_policy_it_was_driven_by(league, blind, tmp_pa
 def test_policy_is_evaluated_under_its_files_name(league, blind):
     blind("a.pt")
     code, out, _ = league("evaluate", "a.pt", *SHORT, "--episode", "--json")
-    told = json.loads(out)
+    answer = json.loads(out)
     assert code == 0
-    assert told["driver"] == "a"
-    assert told["trials"][0]["status"] == "off_track"
+    assert answer["driver"] == "a"
+    assert answer["trials"][0]["status"] == "off_track"
 
 
-def test_files_of_one_name_are_told_apart_by_their_folders(blind):
+def test_files_of_one_name_are_shown_with_their_folders(blind):
     assert labels(["runs/x/best.pt", "centerline", "runs/y/best.pt", "last.pt"]) == [
         "x/best",
         "centerline",

@@ -54,11 +54,11 @@ def test_a_place_that_cannot_be_written_is_named_before_any_is_driven(league, tm
 
 def test_json_holds_trials_and_summary(league):
     code, out, err = league("evaluate", "centerline", *QUICK, "--trials", "2", "--json")
-    told = json.loads(out)
+    answer = json.loads(out)
     assert (code, err) == (0, "")
-    assert [trial["status"] for trial in told["trials"]] == ["lap_complete"] * 2
-    assert [trial["seed"] for trial in told["trials"]] == [0, 1]
-    assert told["summary"]["complete_laps"] == told["asked"] == 2
+    assert [trial["status"] for trial in answer["trials"]] == ["lap_complete"] * 2
+    assert [trial["seed"] for trial in answer["trials"]] == [0, 1]
+    assert answer["summary"]["complete_laps"] == answer["asked"] == 2
 
 
 def test_runs_differ_unless_that_is_turned_off(league):
@@ -121,7 +121,7 @@ def test_racing_line_fills_the_column_of_the_trace(league, tmp_path):
     assert code == 0
     with (tmp_path / "t.csv").open() as file:
         paid = [float(row["reward"]) for row in csv.DictReader(file)]
-    # Who drives on the line at nearly its speed earns nearly 1 beside 0.8 for 4 m/s.
+    # Who drives on the line at nearly its speed earns nearly 1, and 0.8 for 4 m/s.
     assert statistics.median(paid) > 1.4
 
 

@@ -74,7 +74,7 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture
-def told(folder, monkeypatch, capsys):
+def output_of(folder, monkeypatch, capsys):
     """Return what a command prints."""
     monkeypatch.chdir(folder)
 
@@ -109,12 +109,12 @@ def _is_below(path: str, at: str) -> bool:
 
 
 @pytest.mark.parametrize("section", PRINTED)
-def test_the_page_has_every_key_that_is_printed_and_no_other(told, section):
+def test_the_page_has_every_key_that_is_printed_and_no_other(output_of, section):
     paths = _documented(SECTIONS[section])
     assert len(paths) == len(set(paths)) > 0
     printed = set()
     for command in PRINTED[section]:
-        text = told(command)
+        text = output_of(command)
         if "--csv" in command:
             printed |= set(next(csv.reader(io.StringIO(text))))
         elif "--json" in command:

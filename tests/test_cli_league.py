@@ -36,7 +36,7 @@ def league(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def told(league, monkeypatch, capsys):
+def printed(league, monkeypatch, capsys):
     """Return what a command prints, given that it ends well."""
     monkeypatch.setenv("LEAGUE_URL", f"sqlite:///{league / 'league.db'}")
     monkeypatch.setenv("COLUMNS", "100")
@@ -49,26 +49,26 @@ def told(league, monkeypatch, capsys):
     return run
 
 
-def test_standings_show_everybody_with_an_interval(told):
-    text = told("standings")
+def test_standings_show_everybody_with_an_interval(printed):
+    text = printed("standings")
     assert all(name in text for name in ("ann", "bob", "centerline", "±"))
-    table = json.loads(told("standings", "--json"))
+    table = json.loads(printed("standings", "--json"))
     assert [row["rank"] for row in table["entries"]] == [1, 2, 3]
     for row in table["entries"]:  # ratings are relative to the anchor, so its own is exact
         assert row["low95"] < row["elo"] < row["high95"] or row["anchor"]
-    assert len(json.loads(told("standings", "--json", "--top", "1"))["entries"]) == 1
+    assert len(json.loads(printed("standings", "--json", "--top", "1"))["entries"]) == 1
 
 
-def test_standings_and_show_tell_races_not_finished_and_clean_laps(told):
-    table = json.loads(told("standings", "--json"))
+def test_standings_and_show_tell_races_not_finished_and_clean_laps(printed):
+    table = json.loads(printed("standings", "--json"))
     for row in table["entries"]:
         assert row["unfinished"] == 1.0 and row["best_laps_s"] == row["clean_laps_s"] == {}
-    assert "DNF" in told("standings") and "clean lap" in told("standings")
-    assert "not finished: 100 %, best clean lap: none" in told("show", "ann")
-    assert "the fastest one of a race without a mistake" in told("standings")
+    assert "DNF" in printed("standings") and "clean lap" in printed("standings")
+    assert "not finished: 100 %, best clean lap: none" in printed("show", "ann")
+    assert "the fastest one of a race without a mistake" in printed("standings")
 
 
-def test_standings_fit_80_columns(told, league, monkeypatch, capsys):
+def test_standings_fit_80_columns(printed, league, monkeypatch, capsys):
     from league.cli.season.standings import standings_table
     from league.matchmaking import standings
     from league.matchmaking.store import Store
@@ -86,22 +86,22 @@ def test_standings_fit_80_columns(told, league, monkeypatch, capsys):
     assert text.count("n" * 24) == 3 and "clean lap" in text
 
 
-def test_standings_show_the_value_they_are_sorted_by_and_the_states_of_entries(told):
-    rows = json.loads(told("standings", "--json"))["entries"]
+def test_standings_show_the_value_they_are_sorted_by_and_the_states_of_entries(printed):
+    rows = json.loads(printed("standings", "--json"))["entries"]
     listed = [row["listed_by"] for row in rows]
     assert listed == sorted(listed, reverse=True)
     for row in rows:
         uncertain = row["elo"] - 2 * row["sd"]
         assert row["listed_by"] == pytest.approx(uncertain if row["provisional"] else row["elo"])
-    text = told("standings")
+    text = printed("standings")
     assert all(f" {value:.0f} " in text for value in listed)
     assert text.count("placement") == 3  # as in `league entries`; one of them is an anchor
     assert re.search(r"centerline .* 1000 ±0 +\*", text) and "* anchor" in text
 
 
-def test_heats_fit_80_columns(told, monkeypatch):
+def test_heats_fit_80_columns(printed, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    text = told("heats", "--limit", "100")
+    text = printed("heats", "--limit", "100")
     assert "validation" in text and "…" not in text and max(map(len, text.splitlines())) <= 80
 
 
@@ -117,29 +117,29 @@ def test_heats_fit_80_columns(told, monkeypatch):
         ("history ann", "heat races Elo, between"),
     ],
 )
-def test_tables_of_sixty_columns_have_all_their_words_whole(told, monkeypatch, command, heads):
+def test_tables_of_sixty_columns_have_all_their_words_whole(printed, monkeypatch, command, heads):
     monkeypatch.setenv("COLUMNS", "60")
-    text = told(*command.split())
+    text = printed(*command.split())
     assert "…" not in text
     assert set(heads.split()) <= set(text.split()), text
     assert any(name in text.split() for name in ("ann", "centerline")), text
 
 
-def test_matrix_shows_as_many_entries_as_there_is_room_for(told, monkeypatch):
+def test_matrix_shows_as_many_entries_as_there_is_room_for(printed, monkeypatch):
     monkeypatch.setenv("COLUMNS", "36")
-    assert told("h2h").splitlines()[2].split() == ["entry", "1", "2"]
+    assert printed("h2h").splitlines()[2].split() == ["entry", "1", "2"]
     monkeypatch.setenv("COLUMNS", "60")
-    assert told("h2h").splitlines()[2].split() == ["entry", "1", "2", "3"]
+    assert printed("h2h").splitlines()[2].split() == ["entry", "1", "2", "3"]
 
 
-def test_a_rating_apart_from_the_anchor_has_its_sign_explained(told, tmp_path):
+def test_a_rating_apart_from_the_anchor_has_its_sign_explained(printed, tmp_path):
     url = f"sqlite:///{tmp_path / 'new.db'}"
-    told("init", "--league", url, "--anchors", "centerline", "cautious")
-    text = told("standings", "--league", url)
+    printed("init", "--league", url, "--anchors", "centerline", "cautious")
+    text = printed("standings", "--league", url)
     assert "~" in text and "no chain of races leads to the anchor" in text
 
 
-def test_a_heat_in_quarantine_shows_both_results_and_can_be_raced_again(told, league):
+def test_a_heat_in_quarantine_shows_both_results_and_can_be_raced_again(printed, league):
     from league.matchmaking.store import HeatOutcome, RaceOutcome, Store
 
     copy = league / "disputed.db"
@@ -152,40 +152,42 @@ def test_a_heat_in_quarantine_shows_both_results_and_can_be_raced_again(told, le
         lie = [RaceOutcome(r.places[::-1], {**r.result, "race_s": 0.0}) for r in results]
         store.complete("liar", [HeatOutcome(record.heat.key, tuple(lie))])
     number, on = str(record.number), ("--league", url)
-    shown = told("heat", number, *on)
+    shown = printed("heat", number, *on)
     assert f"by {results[0].worker}" in shown and "by liar" in shown
     assert results[0].hash[:12] in shown and f"league retry {number}" in shown
-    assert "waits to be raced again" in told("retry", number, *on)
+    assert "waits to be raced again" in printed("retry", number, *on)
     with Store(url) as store:
         store.claim("third", 1)
         truth = tuple(RaceOutcome(r.places, r.result) for r in results)
         store.complete("third", [HeatOutcome(record.heat.key, truth)])
-    assert "by liar, REJECTED" in told("heat", number, *on)
-    rejected = [r["rejected"] for r in json.loads(told("heat", number, "--json", *on))["results"]]
+    assert "by liar, REJECTED" in printed("heat", number, *on)
+    rejected = [
+        r["rejected"] for r in json.loads(printed("heat", number, "--json", *on))["results"]
+    ]
     assert sorted(rejected) == [False, False, True, True]
 
 
-def test_entries_are_listed_with_their_states(told):
-    entries = json.loads(told("entries", "--json"))
+def test_entries_are_listed_with_their_states(printed):
+    entries = json.loads(printed("entries", "--json"))
     assert [entry["name"] for entry in entries] == ["centerline", "ann", "bob"]
     assert {entry["state"] for entry in entries} == {"placement"}
-    assert "anchor" in told("entries")
+    assert "anchor" in printed("entries")
 
 
-def test_an_entry_is_shown_with_its_records(told):
-    shown = json.loads(told("show", "ann", "--json"))
+def test_an_entry_is_shown_with_its_records(printed):
+    shown = json.loads(printed("show", "ann", "--json"))
     assert shown["standing"]["name"] == "ann"
     assert sum(one["races"] for one in shown["against"]) == shown["standing"]["races"] > 0
-    assert "Against" in told("show", "ann")
+    assert "Against" in printed("show", "ann")
 
 
-def test_head_to_head_of_nobody_in_particular_is_the_matrix_with_residuals(told, monkeypatch):
+def test_head_to_head_of_nobody_in_particular_is_the_matrix_with_residuals(printed, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    pairs = json.loads(told("h2h", "--json"))
+    pairs = json.loads(printed("h2h", "--json"))
     assert len(pairs) == 3 and {pair["one"] for pair in pairs} <= {"ann", "bob", "centerline"}
     met = [pair for pair in pairs if pair["races"]]
     assert met and all(0 <= pair["points"] <= pair["races"] for pair in met)
-    text = told("h2h")
+    text = printed("h2h")
     for pair in met:
         assert f"{pair['points']:g}/{pair['races']}" in text
         assert f"{pair['races'] - pair['points']:g}/{pair['races']}" in text
@@ -193,84 +195,86 @@ def test_head_to_head_of_nobody_in_particular_is_the_matrix_with_residuals(told,
     assert "…" not in text
 
 
-def test_head_to_head_tells_the_difference_with_its_interval(told):
-    found = json.loads(told("h2h", "ann", "centerline", "--json"))
+def test_head_to_head_tells_the_difference_with_its_interval(printed):
+    found = json.loads(printed("h2h", "ann", "centerline", "--json"))
     gap = found["difference"]
     assert gap["low95"] < gap["elo"] < gap["high95"] and found["heats"]
-    assert "stronger one with probability" in told("h2h", "ann", "centerline")
+    assert "stronger one with probability" in printed("h2h", "ann", "centerline")
 
 
-def test_history_ends_with_the_present_rating(told):
-    moments = json.loads(told("history", "ann", "--json"))
-    (row,) = (r for r in json.loads(told("standings", "--json"))["entries"] if r["name"] == "ann")
+def test_history_ends_with_the_present_rating(printed):
+    moments = json.loads(printed("history", "ann", "--json"))
+    (row,) = (
+        r for r in json.loads(printed("standings", "--json"))["entries"] if r["name"] == "ann"
+    )
     assert moments[-1]["elo"] == pytest.approx(row["elo"])
-    assert "over time" in told("history", "ann")
+    assert "over time" in printed("history", "ann")
 
 
-def test_a_heat_is_shown_with_its_seeds_and_classification(told):
-    heats = json.loads(told("heats", "--state", "done", "--json"))
+def test_a_heat_is_shown_with_its_seeds_and_classification(printed):
+    heats = json.loads(printed("heats", "--state", "done", "--json"))
     assert len(heats) == 10 and all(heat["state"] == "done" for heat in heats)
     number = str(heats[-1]["number"])
-    heat = json.loads(told("heat", number, "--json"))
+    heat = json.loads(printed("heat", number, "--json"))
     assert len(heat["seeds"]) == len(heat["results"]) == 2
-    assert "Race 2 on reinvent_2018, seed" in told("heat", number)
-    assert told("heat", heat["key"][:12]) == told("heat", number)
+    assert "Race 2 on reinvent_2018, seed" in printed("heat", number)
+    assert printed("heat", heat["key"][:12]) == printed("heat", number)
 
 
-def test_a_race_of_the_league_can_be_watched(told, tmp_path, capsys):
-    number = str(json.loads(told("heats", "--state", "done", "--json"))[-1]["number"])
+def test_a_race_of_the_league_can_be_watched(printed, tmp_path, capsys):
+    number = str(json.loads(printed("heats", "--state", "done", "--json"))[-1]["number"])
     path = tmp_path / "heat.race"
-    assert str(path) in told("view", number, "--race", "2", "--save", str(path))
+    assert str(path) in printed("view", number, "--race", "2", "--save", str(path))
     assert path.stat().st_size > 100
     assert main(["view", str(path), "--race", "2"]) == 2
     assert "is one race: give --race with the number of a" in capsys.readouterr().err
     recording = tmp_path / "heat.rrd"
-    told("view", number, "--rrd", str(recording), "--no-cameras")
+    printed("view", number, "--rrd", str(recording), "--no-cameras")
     assert recording.stat().st_size > 1000
 
 
-def test_an_audit_runs_heats_again_and_finds_that_they_agree(told):
-    waiting = json.loads(told("heats", "--state", "planned", "--json", "--limit", "100"))
-    text = told("audit", "--sample", "1%", "--seed", "1", "--workers", "1")
+def test_an_audit_runs_heats_again_and_finds_that_they_agree(printed):
+    waiting = json.loads(printed("heats", "--state", "planned", "--json", "--limit", "100"))
+    text = printed("audit", "--sample", "1%", "--seed", "1", "--workers", "1")
     assert "1 heat was run again: 1 agree, 0 differ." in text
-    assert waiting == json.loads(told("heats", "--state", "planned", "--json", "--limit", "100"))
+    assert waiting == json.loads(printed("heats", "--state", "planned", "--json", "--limit", "100"))
 
 
-def test_an_audit_recomputes_all_races_whatever_is_run_again(told, league, tmp_path):
+def test_an_audit_recomputes_all_races_whatever_is_run_again(printed, league, tmp_path):
     copy = tmp_path / "changed.db"
     with sqlite3.connect(league / "league.db") as there, sqlite3.connect(copy) as here:
         there.backup(here)
         here.execute("UPDATE entries SET anchor = 1 - anchor")
         here.execute("DELETE FROM races WHERE number = 1")
     command = ("audit", "--sample", "1%", "--workers", "1", "--league", f"sqlite:///{copy}")
-    text = told(*command, code=1)
+    text = printed(*command, code=1)
     assert text.count("what it records was changed") == 3  # ann, bob, centerline
     assert "race 1: the standings miss it" in text and "4 mismatches." in text
-    assert "the ledger no longer has the record xyz" in told(*command, "--head", "xyz", code=1)
+    assert "the ledger no longer has the record xyz" in printed(*command, "--head", "xyz", code=1)
 
 
-def test_an_audit_without_the_present_rules_says_so(told, league, tmp_path):
+def test_an_audit_without_the_present_rules_says_so(printed, league, tmp_path):
     copy = tmp_path / "changed.db"
     with sqlite3.connect(league / "league.db") as there, sqlite3.connect(copy) as here:
         there.backup(here)
         here.execute("UPDATE league SET ruleset = 9")
-    text = told("audit", "--league", f"sqlite:///{copy}", code=1)
+    text = printed("audit", "--league", f"sqlite:///{copy}", code=1)
     assert text.startswith("the present rules are missing\n") and "1 mismatch." in text
 
 
-def test_an_export_has_a_line_for_each_car(told, tmp_path):
-    rows = list(csv.DictReader(io.StringIO(told("export", "--csv", "-"))))
-    done = json.loads(told("heats", "--state", "done", "--json", "--limit", "1000"))
+def test_an_export_has_a_line_for_each_car(printed, tmp_path):
+    rows = list(csv.DictReader(io.StringIO(printed("export", "--csv", "-"))))
+    done = json.loads(printed("heats", "--state", "done", "--json", "--limit", "1000"))
     races = sum(len(heat["races"]) for heat in done if not heat["audits"])
     assert len(rows) == 2 * races
     assert {row["entry"] for row in rows} == {"ann", "bob", "centerline"}
-    told("export", "--json", str(tmp_path / "league.json"))
+    printed("export", "--json", str(tmp_path / "league.json"))
     document = json.loads((tmp_path / "league.json").read_text())
     assert len(document["races"]) == len(rows) and document["rules"]["laps"] == 1
 
 
 def test_an_export_has_neither_formulas_nor_rejected_results_nor_everything_in_memory(
-    told, league, tmp_path, monkeypatch
+    printed, league, tmp_path, monkeypatch
 ):
     from league.cli.season import heats
     from league.matchmaking.store import HeatOutcome, RaceOutcome, Store
@@ -280,7 +284,7 @@ def test_an_export_has_neither_formulas_nor_rejected_results_nor_everything_in_m
         there.backup(here)
         here.execute("UPDATE entries SET name = '=1+1' WHERE name = 'ann'")
     url = f"sqlite:///{copy}"
-    before = told("export", "--csv", "-", "--league", url)
+    before = printed("export", "--csv", "-", "--league", url)
     assert {row["entry"] for row in csv.DictReader(io.StringIO(before))} == {
         "'=1+1", "bob", "centerline",
     }  # fmt: skip
@@ -296,41 +300,41 @@ def test_an_export_has_neither_formulas_nor_rejected_results_nor_everything_in_m
     read = Store.results
     monkeypatch.setattr(Store, "results", lambda *a: sizes.append(len(a) - 1) or read(*a))
     monkeypatch.setattr(heats, "EXPORTED", 3)
-    assert told("export", "--csv", "-", "--league", url) == before
+    assert printed("export", "--csv", "-", "--league", url) == before
     assert max(sizes) == 3 and len(sizes) > 3
     written = []
     monkeypatch.setattr(Store, "results", lambda *a: written.append(sys.stdout.tell()) or read(*a))
-    document = json.loads(told("export", "--json", "-", "--league", url))
+    document = json.loads(printed("export", "--json", "-", "--league", url))
     assert 0 < written[0] < written[-1]  # it begins before the last results are read
     assert len(document["races"]) == before.count("\n") - 1
     assert document["races"][0].keys() == set(heats.COLUMNS)
 
 
-def test_a_gauntlet_places_a_checkpoint_and_keeps_nothing(told, league):
+def test_a_gauntlet_places_a_checkpoint_and_keeps_nothing(printed, league):
     from league.agents import checkpoint
     from tests.agents.trained import make_checkpoint
 
     path = league / "new.pt"
     checkpoint.save(path, make_checkpoint("blind", seed=9, name="new"))
-    before = told("entries"), told("heats")
-    found = json.loads(told("gauntlet", str(path), "--workers", "1", "--json"))
+    before = printed("entries"), printed("heats")
+    found = json.loads(printed("gauntlet", str(path), "--workers", "1", "--json"))
     assert len(found["against"]) == 3 and all(races == 2 for _, races, _ in found["against"])
     assert 1 <= found["rank"] <= 4 and found["low95"] < found["elo"] < found["high95"]
     # Six races: the 95 % interval of a player at p = 0.5 all along would be +-280 Elo without a
     # prior, and no field of three is known well enough to make it less than +-100.
     assert found["provisional"] and found["high95"] - found["low95"] > 200
     assert found["best_rank"] <= found["rank"] <= found["worst_rank"]
-    assert (told("entries"), told("heats")) == before
+    assert (printed("entries"), printed("heats")) == before
 
 
-def test_a_comparison_stops_when_it_is_sure_or_out_of_heats(told):
+def test_a_comparison_stops_when_it_is_sure_or_out_of_heats(printed):
     wish = ("--heats", "3", "--workers", "1", "--json")
-    found = json.loads(told("compare", "ann", "centerline", *wish))
+    found = json.loads(printed("compare", "ann", "centerline", *wish))
     assert found["heats"] == 3 and found["decision"] == "undecided"
 
 
 def test_a_comparison_reports_its_progress_and_a_verdict_without_a_terminal(
-    told, capsys, monkeypatch
+    printed, capsys, monkeypatch
 ):
     from league.cli.season import heats
     from league.matchmaking.ratings import sprt
@@ -346,8 +350,8 @@ def test_a_comparison_reports_its_progress_and_a_verdict_without_a_terminal(
         assert heats.Compare("a", "b")._verdict(result, "a", "b").startswith(sentence)
 
 
-def test_a_wrong_name_gives_the_nearest_ones(told, capsys):
-    assert told("show", "centreline", code=2) == ""
+def test_a_wrong_name_gives_the_nearest_ones(printed, capsys):
+    assert printed("show", "centreline", code=2) == ""
     main(["show", "centreline"])
     assert "nearest: centerline" in capsys.readouterr().err
 
@@ -380,8 +384,8 @@ def test_a_wrong_name_gives_the_nearest_ones(told, capsys):
         (["init", "--anchors", "fast"], "no scripted driver 'fast'"),
     ],
 )
-def test_wishes_that_cannot_be_met_are_refused_in_a_sentence(told, capsys, command, sentence):
-    told(*command, code=2)
+def test_wishes_that_cannot_be_met_are_refused_in_a_sentence(printed, capsys, command, sentence):
+    printed(*command, code=2)
     main(command)
     err = capsys.readouterr().err
     assert sentence in err and err.count("\n") == 1

@@ -64,11 +64,11 @@ def test_check_reports_a_file_that_needs_objects_and_accepts_it(tmp_path, capsys
     assert "Fails" not in out
     assert f"a time trial cannot be trained with it: {path}, line 4: IndexError" in out
     assert command.CheckReward(path, json=True).run() == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["ok"], told["needs_objects"]) == (True, True)
-    assert told["keys"] == ["closest_objects", "objects_distance"]
-    assert told["printed"][-1] == "hello"
-    by_kind = {one["kind"]: one["failure"] for one in told["drives"]}
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["ok"], answer["needs_objects"]) == (True, True)
+    assert answer["keys"] == ["closest_objects", "objects_distance"]
+    assert answer["printed"][-1] == "hello"
+    by_kind = {one["kind"]: one["failure"] for one in answer["drives"]}
     assert f"{path}, line 4: IndexError" in by_kind["time_trial"]
     assert by_kind["obstacle_avoidance"] is None
     assert by_kind["head_to_head"] is None
@@ -81,9 +81,9 @@ def test_check_of_one_kind_tries_no_other(tmp_path, capsys, kind, code):
     path = tmp_path / "mine.py"
     path.write_text(NEEDS_OBJECTS)
     assert command.CheckReward(path, kind=kind, json=True).run() == code
-    told = json.loads(capsys.readouterr().out)
-    assert {drive["kind"] for drive in told["drives"]} == {kind}
-    assert (told["ok"], told["needs_objects"]) == (code == 0, False)
+    answer = json.loads(capsys.readouterr().out)
+    assert {drive["kind"] for drive in answer["drives"]} == {kind}
+    assert (answer["ok"], answer["needs_objects"]) == (code == 0, False)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_check_tells_what_is_read_however_it_is_read(tmp_path, body, keys, unkno
     assert (len(report.keys), report.unknown_keys) == (keys, unknown)
 
 
-def test_a_fault_is_told_once_with_the_drives_on_which_it_came(tmp_path, capsys):
+def test_a_fault_is_reported_once_with_the_drives_on_which_it_came(tmp_path, capsys):
     path = tmp_path / "mine.py"
     path.write_text("def reward_function(params):\n    return None\n")
     assert command.CheckReward(path).run() == 1
@@ -172,9 +172,9 @@ def test_score_prints_totals_and_draws_both(recorded, tmp_path, capsys):
     assert "progress (built in)" in said
     assert out.read_bytes().startswith(b"\x89PNG")
     command.ScoreReplay(path, wish, out=out, json=True).run()
-    told = json.loads(capsys.readouterr().out)
+    answer = json.loads(capsys.readouterr().out)
     # A whole lap is 100 %, and its end pays 10; the second car drives 0.75 m more.
-    totals = [car["total"] for car in told["scores"][0]["totals"]]
+    totals = [car["total"] for car in answer["scores"][0]["totals"]]
     assert totals[0] == pytest.approx(110.0, abs=0.2)
     assert totals[1] == pytest.approx(110.0, abs=0.2)
 

@@ -15,7 +15,7 @@ CLOSING, LINKED, OWNER = "[/x]", "[link=e]:car:", "[/b]"
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """Return the folder of a league whose entries have such names, and of their checkpoints."""
+    """Return the folder of a league with entries of such names, and of their checkpoints."""
     from league.matchmaking import loop
     from league.matchmaking.loop import Dispatcher
     from league.matchmaking.pairing.matchmaker import Matchmaker
@@ -36,7 +36,7 @@ def folder(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def told(folder, monkeypatch, capsys):
+def printed(folder, monkeypatch, capsys):
     """Return what a command prints on a terminal, given that it ends well."""
     monkeypatch.chdir(folder)
     monkeypatch.setenv("LEAGUE_URL", f"sqlite:///{folder / 'league.db'}")
@@ -65,18 +65,18 @@ def told(folder, monkeypatch, capsys):
         (["history", LINKED], (LINKED,)),
     ],
 )
-def test_names_of_entries_are_printed_as_they_stand(told, command, names):
-    text = told(*command)
+def test_names_of_entries_are_printed_as_they_stand(printed, command, names):
+    text = printed(*command)
     assert all(name in text for name in names)
     assert "\x1b]8" not in text and "\N{AUTOMOBILE}" not in text
 
 
-def test_owners_are_printed_as_they_stand(told):
-    assert f"{OWNER}1" in told("entries")
-    assert f"{OWNER}0" in told("show", CLOSING)
+def test_owners_are_printed_as_they_stand(printed):
+    assert f"{OWNER}1" in printed("entries")
+    assert f"{OWNER}0" in printed("show", CLOSING)
 
 
-def test_a_heats_grid_and_results_name_entries_as_they_stand(told, folder):
+def test_a_heats_grid_and_results_name_entries_as_they_stand(printed, folder):
     from league.matchmaking.store import Store
 
     with Store(f"sqlite:///{folder / 'league.db'}") as store:
@@ -85,18 +85,18 @@ def test_a_heats_grid_and_results_name_entries_as_they_stand(told, folder):
             for name in (CLOSING, LINKED)
         }
     for name, number in numbers.items():
-        assert name in told("heat", str(number))
+        assert name in printed("heat", str(number))
 
 
-def test_a_cards_name_is_printed_as_it_stands(told):
-    text = told("card", "[x].pt")
+def test_a_cards_name_is_printed_as_it_stands(printed):
+    text = printed("card", "[x].pt")
     assert LINKED in text and "[x].pt" in text and "\x1b]8" not in text
 
 
-def test_a_file_whose_name_looks_like_markup_is_raced_and_evaluated_under_it(told):
+def test_a_file_whose_name_looks_like_markup_is_raced_and_evaluated_under_it(printed):
     short = ("--laps", "1", "--solver", "planar")
-    assert "[x]" in told("race", "[x].pt", *short, "--replay", "none")
-    assert "[x]: time trial on" in told("evaluate", "[x].pt", *short, "--episode")
+    assert "[x]" in printed("race", "[x].pt", *short, "--replay", "none")
+    assert "[x]: time trial on" in printed("evaluate", "[x].pt", *short, "--episode")
 
 
 def test_the_page_of_a_run_shows_names_as_they_stand(folder, monkeypatch, capsys, tmp_path):
@@ -133,10 +133,10 @@ def test_what_cannot_be_printed_is_spelled():
     assert tables.spelled("a\x1b[31m\u202e\tb\nc é") == "a\\x1b[31m\\u202e\\tb\nc é"
 
 
-def test_a_reason_cannot_move_the_cursor(told, folder, monkeypatch, tmp_path):
+def test_a_reason_cannot_move_the_cursor(printed, folder, monkeypatch, tmp_path):
     copy = tmp_path / "league.db"
     copy.write_bytes((folder / "league.db").read_bytes())
     on = ("--league", f"sqlite:///{copy}")
-    told("retire", CLOSING, "--yes", "--reason", "red\x1b[2J", *on)
-    assert "red\\x1b[2J" in told("entries", *on)
-    assert "red\\x1b[2J" in told("show", CLOSING, *on)
+    printed("retire", CLOSING, "--yes", "--reason", "red\x1b[2J", *on)
+    assert "red\\x1b[2J" in printed("entries", *on)
+    assert "red\\x1b[2J" in printed("show", CLOSING, *on)

@@ -322,7 +322,7 @@ def test_what_it_says_is_more_than_a_whole_update_has_driven(league):
         (["--handicap"], "--handicap has been removed"),
     ],
 )
-def test_mistake_in_a_flag_is_told_in_one_sentence(league, tmp_path, flags, said):
+def test_mistake_in_a_flag_gets_one_sentence(league, tmp_path, flags, said):
     code, _, err = league("train", "--plain", "--no-tensorboard", *flags)
     assert code == 2
     assert err.startswith("league: ")
@@ -565,7 +565,7 @@ def test_parse_sensors_reads_cameras_and_lidars():
     assert parse_sensors(("motion",)).camera is None
 
 
-def test_who_asks_for_sac_is_told_that_ppo_trains(tmp_path, capsys):
+def test_sac_is_refused_because_ppo_trains(tmp_path, capsys):
     file = tmp_path / "model_metadata.json"
     ranges = {"steering_angle": {"low": -20, "high": 20}, "speed": {"low": 1, "high": 2}}
     file.write_text(json.dumps({"action_space": ranges, "action_space_type": "continuous"}))
@@ -634,7 +634,7 @@ def test_killed_training_goes_on_from_its_last_save_point(league, tmp_path):
     folder = tmp_path / "long.run"
     kept = checkpoint.load(folder / "last.pt").card.steps
     assert kept >= 8 * 32  # a save point every 8 updates
-    # Not 100,000 decisions in a test: the settings are those of the run, so it is told to end.
+    # Not 100,000 decisions in a test: the settings are those of the run, so the test ends it.
     cfg = (folder / "settings.json").read_text().replace('"steps": 100000', '"steps": 640')
     (folder / "settings.json").write_text(cfg)
     code, out, err = league("train", *TINY, "--out", "long.pt", "--resume")

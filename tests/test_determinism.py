@@ -27,11 +27,11 @@ class Seeing:
     def reset(self, rows):
         pass
 
-    def act(self, told):
-        state = told["state"]
+    def act(self, observations):
+        state = observations["state"]
         error = 1.5 * state[:, INDEX["lateral"]] + 2.5 * state[:, INDEX["heading_error"]]
         steering = np.arctan(0.164 * (state[:, INDEX["curvature_0.25m"]] - error)) / 0.5236
-        seen = told["lidar"][:, 7] * 1e-2 + told["stereo"][:, 0, 8, 12] * 1e-4
+        seen = observations["lidar"][:, 7] * 1e-2 + observations["stereo"][:, 0, 8, 12] * 1e-4
         return np.stack([(steering + seen).clip(-1, 1), np.full_like(steering, 0.3)], axis=1)
 
 def digest(spec, drivers):
@@ -40,8 +40,8 @@ def digest(spec, drivers):
         for records in (world.worlds, world.cars, world.obstacles):
             for name in records.dtype.names:
                 seen.update(records[name].tobytes())
-    told = race.run(spec, drivers=drivers, record=False, watch=watch).result
-    seen.update(told.model_dump_json().encode())
+    result = race.run(spec, drivers=drivers, record=False, watch=watch).result
+    seen.update(result.model_dump_json().encode())
     return seen.hexdigest()
 
 jobs = []
@@ -58,8 +58,8 @@ for solver in ("planar", "bullet"):
     ]
 if sys.argv[1] == "backwards":
     jobs.reverse()
-told = {spec.model_dump_json(): digest(spec, drivers) for spec, drivers in jobs}
-print(json.dumps(told, sort_keys=True))
+digests = {spec.model_dump_json(): digest(spec, drivers) for spec, drivers in jobs}
+print(json.dumps(digests, sort_keys=True))
 """
 
 
@@ -76,13 +76,13 @@ def fresh_process(order: str, hash_seed: str) -> subprocess.Popen[str]:
 
 def test_same_spec_gives_the_same_bits_in_fresh_processes_and_in_any_order():
     runs = [fresh_process("forwards", "1"), fresh_process("backwards", "2")]
-    told = []
+    outputs = []
     for run in runs:
         out, _ = run.communicate(timeout=300)
         assert run.returncode == 0
-        told.append(json.loads(out.splitlines()[-1]))
-    assert told[0] == told[1]
-    assert len(set(told[0].values())) == len(told[0]) == 8
+        outputs.append(json.loads(out.splitlines()[-1]))
+    assert outputs[0] == outputs[1]
+    assert len(set(outputs[0].values())) == len(outputs[0]) == 8
 
 
 def watched(spec: RaceSpec, *, record: bool):

@@ -99,7 +99,7 @@ def _called(function, args: tuple, kwargs: dict):
         kwargs = {**kwargs, "device": "cpu"}
     known = {id(_inside(one)): one for one in given}
 
-    def told(one: object) -> object:
+    def unwrapped(one: object) -> object:
         if not isinstance(one, Tensor) or id(one) in known:
             return known.get(id(one), one)
         return Distant(one) if there else one
@@ -107,7 +107,7 @@ def _called(function, args: tuple, kwargs: dict):
     # What inference mode makes could not be viewed outside of it.
     with torch.inference_mode(False), torch.no_grad():
         inside = {name: _mapped(_inside, one) for name, one in kwargs.items()}
-        return _mapped(told, function(*_mapped(_inside, args), **inside))
+        return _mapped(unwrapped, function(*_mapped(_inside, args), **inside))
 
 
 def _leaves(parts: Sequence[object]) -> Iterator[object]:
@@ -134,7 +134,7 @@ def _check(function, args: tuple, given: Sequence[Tensor]) -> None:
         return
     if function in _INDEXED and isinstance(args[0], Distant):
         given = [args[0], *args[2:3]]  # an index may lie on the CPU
-    # So may a single number, if it is not to be put beside others.
+    # So may a single number, if it is not combined with others.
     near = [one for one in given if one.dim() or function in _COLLECTED]
     near = [one for one in near if not isinstance(one, Distant)]
     if near and any(isinstance(one, Distant) for one in given):
@@ -143,7 +143,7 @@ def _check(function, args: tuple, given: Sequence[Tensor]) -> None:
 
 @contextmanager
 def pretending() -> Iterator[None]:
-    """Have the other device; outside of it nobody can make a tensor there."""
+    """Have the other device; outside of it no tensor can be made there."""
     before = torch._C._only_lift_cpu_tensors()
     torch._C._set_only_lift_cpu_tensors(True)  # numbers go by way of the CPU, where we see them
     try:
@@ -215,7 +215,7 @@ def test_a_batch_of_another_device_hands_out_the_same_bits(sim):
     check_both(lambda device: drive(device, sim=sim, sensors=SEEING))
 
 
-def test_episodes_are_told_of_rows_of_another_device():
+def test_episodes_take_rows_of_another_device():
     def run(device: str) -> tuple[float | None, float | None]:
         episodes = EpisodeStatistics(2)
         for driven in ([0.4, 0.5], [0.9, 1.1]):

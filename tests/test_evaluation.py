@@ -1,4 +1,4 @@
-"""Evaluations: trials as the console told them, the same alone and in a batch, and their trace."""
+"""Evaluations: trials as on the console, the same alone and in a batch, and their trace."""
 
 import csv
 import math
@@ -186,7 +186,7 @@ def test_clean_runs_are_counted():
     assert (done.clean_laps, done.clean_runs, done.runs) == (2, 0, 2)
 
 
-def test_standing_still_is_told_by_its_name():
+def test_standing_still_has_its_own_status():
     done = evaluated(Stubborn(answer=np.array([[0.0, -1.0]])), mode="episode", laps=1)
     # The smallest speed is 0.1 m/s, so the car creeps off the ring's bend straight ahead.
     assert done.trials[0].status == "off_track"
@@ -234,7 +234,7 @@ def test_runs_are_the_same_alone_and_in_a_batch():
         )
 
 
-def test_opponents_make_it_head_to_head_and_places_are_told():
+def test_opponents_make_it_head_to_head_and_places_are_given():
     slow, fast = Follower("slow", 1.5, lateral=0.0), Follower("fast", 2.5, lateral=0.0)
     won = evaluated(fast, opponents=[slow], laps=1)
     assert (won.kind, won.places, won.driver) == ("head_to_head", (1,), "fast")
@@ -382,8 +382,8 @@ def test_trace_counts_crashes_with_obstacles_where_they_happened():
     crash = next(row for row in rows if row["episode_status"] == "crashed")
     assert crash["obstacle_crash_counter"] == 1
     assert crash["pause_duration"] == 1.0
-    # Told where it crashed: the nose at the box, whose rear is 0.2 m before a quarter of the ring,
-    # and not 1 m behind it, where the car is put.
+    # It is placed where it crashed, not 1 m behind the box, where the car is put: the nose is at
+    # the rear of the box, 0.2 m before a quarter of the ring.
     assert crash["progress"] == pytest.approx(100 * (3.0 - 0.2) / RING_LENGTH, abs=1.5)
     assert rows[-1]["obstacle_crash_counter"] == done.crashes
 

@@ -12,10 +12,10 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 def test_own_driver_finishes_its_race_against_the_leagues(capsys):
     runpy.run_path(str(EXAMPLES / "own_driver.py"), run_name="__main__")
-    told = capsys.readouterr().out.splitlines()
-    assert len(told) == 2
-    assert {line.split()[1] for line in told} == {"weaver", "centerline"}
-    assert all("best lap" in line for line in told)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 2
+    assert {line.split()[1] for line in lines} == {"weaver", "centerline"}
+    assert all("best lap" in line for line in lines)
 
 
 def test_a_driver_is_trained_with_a_reward_of_ones_own(capsys, monkeypatch):

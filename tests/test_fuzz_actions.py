@@ -53,13 +53,15 @@ def test_two_thousand_random_actions_at_gymnasiums_door_step_or_are_refused():
         made = numbers(dice, 2)
         action = dice.choice([made, made.to(torch.float32), made.numpy(), made.tolist()])
         try:
-            told, reward, *over, _ = env.step(dice.choice(JUNK) if dice.random() < 0.2 else action)
+            observation, reward, *over, _ = env.step(
+                dice.choice(JUNK) if dice.random() < 0.2 else action
+            )
         except ActionError as error:
             assert readable(error)
             refused += 1
             continue
         steps += 1
-        assert np.isfinite(reward) and np.isfinite(told["motion"]).all()
+        assert np.isfinite(reward) and np.isfinite(observation["motion"]).all()
         if over[0] or over[1]:
             env.reset()
     assert steps > 500 and refused > 500
@@ -133,7 +135,9 @@ def test_two_thousand_random_dicts_at_pettingzoos_step_step_or_are_refused(mode)
         steps += 1
         assert list(observations) == list(rewards) == agents
         assert np.isfinite(list(rewards.values())).all()
-        assert all(np.isfinite(told["motion"]).all() for told in observations.values())
+        assert all(
+            np.isfinite(observation["motion"]).all() for observation in observations.values()
+        )
     assert steps > 300 and refused > 500
     env.close()
 

@@ -124,10 +124,10 @@ def test_random_settings_that_are_accepted_can_be_driven(seed):
     cfg = EnvConfig(sim=sim, mode=mode, sensors=(senses,), looks=drawn(dice, VisualRandomization))
     env = RaceEnv(TrackSet(make_ring()), cfg, num_worlds=2, seed=seed)
     draw = np.random.default_rng(seed)
-    told = taken(env.reset(seed=seed))
+    observed = taken(env.reset(seed=seed))
     for _ in range(10):
         step = env.step(draw.uniform(-1.0, 1.0, (2, num_cars, 2)))
-        told += taken(step.observations)
+        observed += taken(step.observations)
         assert np.isfinite(step.rewards).all()
-    assert all(np.isfinite(group).all() for groups in told for group in groups.values())
+    assert all(np.isfinite(group).all() for groups in observed for group in groups.values())
     env.close()

@@ -105,7 +105,7 @@ print(json.dumps([gap, loaded, str(jit.cache_folder())]))
 
 
 class Installation:
-    """A part of the package in a folder of its own, whose caches are in `home`."""
+    """A part of the package in a folder of its own, with its caches in `home`."""
 
     def __init__(self, folder: Path) -> None:
         self.package, self.home = folder / "league", folder / "home"

@@ -44,10 +44,10 @@ class Follower:
 class Peeping(Follower):
     """Steers a little by what its sensors read."""
 
-    told: set = field(default_factory=set)
+    groups: set = field(default_factory=set)
 
     def act(self, observations):
-        self.told |= set(observations)
+        self.groups |= set(observations)
         answer = super().act(observations)
         for name in {"stereo", "lidar"} & set(observations):
             pixel = observations[name].reshape(len(answer), -1)[:, 7].astype(np.float32)
@@ -62,7 +62,7 @@ def raced(*drivers, track=None, **settings) -> RaceResult:
     return race.run(spec, track=track or make_ring(), drivers=drivers, record=False).result
 
 
-def beside() -> tuple[Follower, Follower]:
+def abreast() -> tuple[Follower, Follower]:
     """Return a slow driver and a fast one that passes it on the other lane."""
     return Follower("slow", 1.5, lateral=-0.2), Follower("fast", 2.0, lateral=0.2)
 
@@ -73,7 +73,7 @@ def kinds(result: RaceResult) -> list[str]:
 
 @pytest.mark.parametrize("solver", ["planar", "bullet"])
 def test_faster_driver_wins(solver):
-    result = raced(*beside(), solver=solver, laps=2)
+    result = raced(*abreast(), solver=solver, laps=2)
     first, second = result.order
     assert (first.name, first.place, second.place) == ("fast", 1, 2)
     assert first.finished
@@ -88,7 +88,7 @@ def test_faster_driver_wins(solver):
 
 
 def test_events_tell_the_race_in_the_order_of_time():
-    result = raced(*beside(), laps=2)
+    result = raced(*abreast(), laps=2)
     times = [event.time_s for event in result.events]
     assert times == sorted(times)
     assert kinds(result)[0] == "start"
@@ -150,7 +150,7 @@ def test_contacts_given_are_contacts_taken():
     ],
     ids=["nothing", "nan", "range", "shape", "bool", "complex", "text"],
 )
-def test_answer_that_is_no_action_is_replaced_by_the_last_one_and_told(answer):
+def test_answer_that_is_no_action_is_replaced_by_the_last_one_and_reported(answer):
     result = raced(Follower(answers=[None] * 10 + [answer] * 5))
     assert kinds(result).count("driver_fault") == 5
     assert result.order[0].finished
@@ -199,7 +199,7 @@ def test_race_is_stopped_after_its_time_and_ranked_by_distance():
 @pytest.mark.parametrize("solver", ["planar", "bullet"])
 def test_a_pursuit_is_won_by_who_drives_its_own_laps_first(solver):
     # Half a lap, 6 m, is what the fast one gains in 24 m: it passes once and is home first.
-    slow, fast = beside()
+    slow, fast = abreast()
     result = raced(slow, fast, solver=solver, laps=3, format="pursuit")
     assert [car.name for car in result.order] == ["fast", "slow"]
     assert all(car.finished and len(car.lap_times_s) == 3 for car in result.order)
@@ -320,7 +320,7 @@ def contest(drivers, *, seed: int = 1, track=None, **settings) -> race.RaceJob:
 
 @pytest.mark.parametrize("solver", ["planar", "bullet"])
 def test_races_run_together_go_to_the_bit_as_alone_though_one_ends_first(solver):
-    slow, fast = beside()
+    slow, fast = abreast()
     quick, ram = Follower("quick", 3.0), Follower("ram", 3.0)
     ring, square = make_ring(), make_square()
     contests = (
@@ -340,8 +340,8 @@ def test_drivers_of_races_run_together_may_carry_other_sensors():
         contest((sees, hears, Follower("blind")), max_time_s=3.0),
         contest((hears, Follower("blind"), sees), seed=2, max_time_s=3.0),
     )
-    assert sees.told == {"stereo", "motion", "state"}
-    assert hears.told == {"lidar", "motion", "state"}
+    assert sees.groups == {"stereo", "motion", "state"}
+    assert hears.groups == {"lidar", "motion", "state"}
 
 
 def test_scripted_drivers_with_seats_in_two_races_remember_each_of_them():
@@ -390,7 +390,7 @@ def test_driver_that_fails_in_one_race_is_retired_there_alone():
 
 def test_races_with_other_settings_are_not_run_together():
     with pytest.raises(ConfigError, match="seeds 1 and 2 have other settings"):
-        race.run_together([contest(beside()), contest(beside(), seed=2, laps=2)])
+        race.run_together([contest(abreast()), contest(abreast(), seed=2, laps=2)])
 
 
 def test_no_races_are_run_together_at_once():
@@ -435,7 +435,7 @@ def test_ranking_by_total_best_or_mean_of_consecutive_laps(ranking, order):
     assert [car.car for car in placed] == order
 
 
-def test_equal_times_are_told_apart_by_mistakes_then_by_the_grid():
+def test_equal_times_are_ranked_by_mistakes_then_by_the_grid():
     spec = RaceSpec(entries=(Entry(name="x"),))
     clean = result_of(car=2)
     careless, lucky = result_of(car=0, off_tracks=1), result_of(car=1)

@@ -89,8 +89,8 @@ def test_names_cannot_break_the_classification():
     made = raced()
     order = tuple(car.model_copy(update={"name": "a|b\n# c"}) for car in made.result.order)
     result = made.result.model_copy(update={"order": order})
-    told = record.classification(replace(made, result=result))
-    rows = [line for line in told.splitlines() if line.startswith("| **")]
+    table = record.classification(replace(made, result=result))
+    rows = [line for line in table.splitlines() if line.startswith("| **")]
     assert len(rows) == 2
     assert all("a\\|b \\# c" in row for row in rows)
 
@@ -200,7 +200,7 @@ def test_without_a_display_no_window_is_tried(monkeypatch, tmp_path):
 
 
 class Window:
-    """A viewer's window whose recording is a file."""
+    """A viewer's window with a file as its recording."""
 
     has_window, address = True, ""
 

@@ -165,7 +165,7 @@ def test_bits_do_not_depend_on_the_number_of_threads(monkeypatch, threads):
 
 
 def test_bits_do_not_depend_on_the_processor_compiled_for():
-    # The first run on a machine compiles; the machine code is then kept beside that of its own.
+    # The first run on a machine compiles; the machine code is then kept next to that of its own.
     target, found = elsewhere(**OLDER)
     assert target == ["generic", ""]
     assert differing(found) == []

@@ -25,12 +25,12 @@ class Follower:
         return follow_center(observations, 1.5, 0.0)
 
 
-def test_closest_waypoint_is_told_by_its_number_in_the_tracks_own_list():
-    told = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 0.0], [3.0, 0.0], [9.0, 0.0], [10.0, 0.0]])
+def test_closest_waypoint_is_given_by_its_number_in_the_tracks_own_list():
+    waypoints = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 0.0], [3.0, 0.0], [9.0, 0.0], [10.0, 0.0]])
     trace = Trace()
     evaluate(
         Follower(),
-        replace(make_straight(), waypoints=told),
+        replace(make_straight(), waypoints=waypoints),
         solver="planar",
         laps=1,
         watch=trace.add,

@@ -28,7 +28,7 @@ def test_wheel_holds_every_track_and_no_tests(wheel):
 
 def test_unpacked_wheel_lists_its_tracks_away_from_the_checkout(wheel, tmp_path):
     zipfile.ZipFile(wheel).extractall(tmp_path)
-    told = subprocess.run(
+    printed = subprocess.run(
         [
             sys.executable,
             "-c",
@@ -41,5 +41,5 @@ def test_unpacked_wheel_lists_its_tracks_away_from_the_checkout(wheel, tmp_path)
         text=True,
         check=True,
     ).stdout
-    assert str(tmp_path) in told
-    assert "reinvent_2018" in told
+    assert str(tmp_path) in printed
+    assert "reinvent_2018" in printed

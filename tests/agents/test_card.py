@@ -102,7 +102,7 @@ def test_sensors_no_car_can_carry_are_refused(sensors):
         make_card(sensors=sensors)
 
 
-def test_settings_that_contradict_each_other_are_told_as_everywhere():
+def test_settings_that_contradict_each_other_are_refused_as_everywhere():
     with pytest.raises(ConfigError, match="low must lie below high"):
         Card.model_validate(
             {"name": "x", "sensors": {}, "action_space": {"steering_low": 9, "steering_high": 3}}

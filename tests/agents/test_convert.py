@@ -106,5 +106,5 @@ def test_the_actor_of_an_own_loop_with_rsl_rl_becomes_a_checkpoint():
         network={"hidden": (16,), "activation": "elu"},
     )  # fmt: skip
     made = checkpoint.Checkpoint(card, from_learner(actor.state_dict()))
-    told = {"motion": groups["motion"]}
-    np.testing.assert_allclose(answers(made, told), expected(actor(groups)), atol=1e-5)
+    observed = {"motion": groups["motion"]}
+    np.testing.assert_allclose(answers(made, observed), expected(actor(groups)), atol=1e-5)

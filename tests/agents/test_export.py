@@ -98,7 +98,7 @@ def test_the_metadata_tell_name_type_shape_and_range_of_each_input(tmp_path, sen
         assert notes["stereo"]["field_of_view_deg"] == 64.74
 
 
-def test_a_memory_is_told_as_what_it_is():
+def test_a_memory_is_described_in_the_metadata():
     notes = input_notes(make_card("remembering"))
     history = notes["history"]
     assert (history["range"], history["readings"]) == ([-1, 12.0], 2)
@@ -106,7 +106,7 @@ def test_a_memory_is_told_as_what_it_is():
     assert history["shape"][1] == 2 * sum(notes[name]["shape"][1] for name in history["each"])
 
 
-def test_colours_and_coarse_scans_are_told_as_what_they_are():
+def test_colours_and_coarse_scans_are_described_in_the_metadata():
     camera = CameraConfig(width=48, height=36, colour=True, eyes="mono")
     card = make_card(sensors=SensorConfig(camera=camera, lidar=LidarConfig(form="sectors")))
     notes = input_notes(card)
@@ -115,14 +115,16 @@ def test_colours_and_coarse_scans_are_told_as_what_they_are():
     assert (notes["lidar"]["range"], notes["lidar"]["form"]) == ([0, 1], "sectors")
 
 
-def test_the_scales_in_the_metadata_make_what_a_car_is_told(race_env):
+def test_the_scales_in_the_metadata_make_what_a_car_observes(race_env):
     # Who follows them on a car of his own tells the network what the simulator would tell it.
     fields = input_notes(make_card("blind"))["motion"]["fields"]
     assert [one["name"] for one in fields] == list(MOTION_FIELDS)
     env = race_env()
     assert env.reset(seed=1)[0]["motion"][0, 3:].tolist() == [0.0, -1.0]
     for _ in range(8):
-        told = env.step(np.array([[[0.4, 0.1]]], np.float32)).observations[0]["motion"][0].tolist()
+        motion = (
+            env.step(np.array([[[0.4, 0.1]]], np.float32)).observations[0]["motion"][0].tolist()
+        )
     car = env.world.cars[0, 0]
     measured = [
         math.hypot(car["velocity_x"], car["velocity_y"]),
@@ -134,8 +136,8 @@ def test_the_scales_in_the_metadata_make_what_a_car_is_told(race_env):
         (value - one["offset"]) / one["scale"]
         for value, one in zip(measured + answered, fields, strict=True)
     ]
-    assert made[0] == pytest.approx(told[0], rel=0.02)  # it slides a little to the side
-    assert made[1:] == pytest.approx(told[1:], abs=1e-5)
+    assert made[0] == pytest.approx(motion[0], rel=0.02)  # it slides a little to the side
+    assert made[1:] == pytest.approx(motion[1:], abs=1e-5)
     assert min(made[:3]) > 0.1
 
 
@@ -145,7 +147,7 @@ def test_the_same_checkpoint_gives_the_same_bytes(tmp_path):
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
-def test_a_place_that_cannot_be_written_is_told_in_one_sentence(tmp_path):
+def test_a_place_that_cannot_be_written_is_reported_in_one_sentence(tmp_path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(PolicyError, match="ONNX file cannot be written"):
         to_onnx(make_checkpoint("blind"), tmp_path / "file" / "a.onnx")

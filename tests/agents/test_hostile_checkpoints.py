@@ -1,4 +1,4 @@
-"""Strangers' files: whatever is wrong with one is told in one sentence, and nothing is run.
+"""Strangers' files: whatever is wrong with one is reported in one sentence, and nothing is run.
 
 The corpus is made here; the files that torch's own safe mode accepts are among them.
 """
@@ -69,7 +69,7 @@ def rezipped(
     add: tuple[tuple[str, bytes], ...] = (),
     how: int = zipfile.ZIP_STORED,
 ) -> bytes:
-    """Return the archive anew, with other names, contents or members."""
+    """Return a copy of the archive with other names, contents or members."""
     rename, replace, buffer = rename or {}, replace or {}, io.BytesIO()
     with warnings.catch_warnings(), zipfile.ZipFile(io.BytesIO(content)) as old:
         warnings.simplefilter("ignore")  # about duplicate names
@@ -264,14 +264,14 @@ folder, names = sys.argv[1], json.loads(sys.argv[2])
 checkpoint.load(folder + "/../sane.pt")  # loads what it needs before memory is limited
 held = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (held + (200 << 20),) * 2)
-told = {}
+answers = {}
 for name in names:
     try:
         checkpoint.load(f"{folder}/{name}")
-        told[name] = "accepted"
+        answers[name] = "accepted"
     except PolicyError as error:
-        told[name] = str(error)
-print(json.dumps(told))
+        answers[name] = str(error)
+print(json.dumps(answers))
 """
 
 
@@ -281,13 +281,13 @@ def test_every_hostile_file_is_refused_in_one_sentence_and_little_memory(hostile
     command = [sys.executable, "-c", READER, str(folder), json.dumps(list(expected))]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert ran.returncode == 0, ran.stderr[-2000:]
-    told = json.loads(ran.stdout)
+    answers = json.loads(ran.stdout)
     for name, reason in expected.items():
-        assert re.search(reason, told[name]), f"{name}: {told[name]}"
-        assert name in told[name] or "nul" in name
-        assert " is refused: " in told[name]
-        assert told[name].isascii() and told[name].isprintable(), ascii(told[name])
-        assert len(told[name]) < 500, told[name]
+        assert re.search(reason, answers[name]), f"{name}: {answers[name]}"
+        assert name in answers[name] or "nul" in name
+        assert " is refused: " in answers[name]
+        assert answers[name].isascii() and answers[name].isprintable(), ascii(answers[name])
+        assert len(answers[name]) < 500, answers[name]
     assert len(expected) >= 50
     assert not (folder / SENTINEL).exists()
 

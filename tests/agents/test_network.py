@@ -27,24 +27,24 @@ SPREAD = {
 }
 
 
-def learner(cfg: NetworkConfig, told: TensorDict) -> Any:
+def learner(cfg: NetworkConfig, observations: TensorDict) -> Any:
     """Return rsl-rl's own actor with the same layers."""
-    groups = {"actor": [str(name) for name in told.keys()]}  # noqa: SIM118
+    groups = {"actor": [str(name) for name in observations.keys()]}  # noqa: SIM118
     layers: dict[str, Any] = {
         "hidden_dims": list(cfg.hidden),
         "activation": cfg.activation,
         "obs_normalization": cfg.normalise,
         "distribution_cfg": dict(SPREAD),
     }
-    if "stereo" not in told.keys():  # noqa: SIM118
-        return MLPModel(told, groups, "actor", 2, **layers)
+    if "stereo" not in observations.keys():  # noqa: SIM118
+        return MLPModel(observations, groups, "actor", 2, **layers)
     cnn = {
         "output_channels": list(cfg.channels),
         "kernel_size": list(cfg.kernels),
         "stride": list(cfg.strides),
         "activation": cfg.activation,
     }
-    return CNNModel(told, groups, "actor", 2, cnn_cfg=cnn, **layers)
+    return CNNModel(observations, groups, "actor", 2, cnn_cfg=cnn, **layers)
 
 
 def rows_of(senses: str, rows: int) -> TensorDict:
@@ -58,8 +58,8 @@ def rows_of(senses: str, rows: int) -> TensorDict:
 def test_the_actor_answers_what_the_learner_answers(senses, normalise, activation):
     torch.manual_seed(3)
     cfg = NetworkConfig(hidden=(64, 32), activation=activation, normalise=normalise)
-    told = rows_of(senses, 5)
-    theirs = learner(cfg, told)
+    observations = rows_of(senses, 5)
+    theirs = learner(cfg, observations)
     if normalise:
         theirs.train()
         for _ in range(3):
@@ -69,7 +69,7 @@ def test_the_actor_answers_what_the_learner_answers(senses, normalise, activatio
     taken = from_learner(theirs.state_dict())
     ours.load_state_dict({name: torch.from_numpy(value) for name, value in taken.items()})
     with torch.no_grad():
-        assert torch.equal(ours(told), theirs(told))
+        assert torch.equal(ours(observations), theirs(observations))
 
 
 def test_only_what_drives_is_taken_from_the_learner():

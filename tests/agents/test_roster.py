@@ -22,7 +22,7 @@ def test_every_name_gives_a_driver_without_sensors(name):
     assert driver.sensors == SensorConfig()
 
 
-def test_an_unknown_driver_is_told_with_the_nearest_names():
+def test_an_unknown_driver_is_refused_with_the_nearest_names():
     with pytest.raises(PolicyError, match=r"'racing_lime'.*racing_line"):
         roster.load("racing_lime", one_track(), CarConfig())
 

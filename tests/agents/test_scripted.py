@@ -27,7 +27,10 @@ def drive(track: Track, names: list[str], sim: SimConfig, *, num_worlds: int = 1
     tracks = TrackSet(track)
     drivers = [roster.load(name, tracks, CAR) for name in names]
     env = RaceEnv(tracks, EnvConfig(sim=sim), num_worlds=num_worlds)
-    return finish(env, lambda told: [one.act(its) for one, its in zip(drivers, told, strict=True)])
+    return finish(
+        env,
+        lambda observations: [one.act(its) for one, its in zip(drivers, observations, strict=True)],
+    )
 
 
 def tour(starts: list[tuple[Track, str]], laps: int) -> np.ndarray:
@@ -37,10 +40,10 @@ def tour(starts: list[tuple[Track, str]], laps: int) -> np.ndarray:
     cfg = EnvConfig(sim=SimConfig(rules=RaceRules(laps=laps)))
     env = RaceEnv(tracks, cfg, num_worlds=len(starts))
 
-    def choose(told):
+    def choose(observations):
         actions = np.zeros((len(drivers), 2), np.float32)
         for world in np.flatnonzero(np.isinf(env.world.cars["finish_s"][:, 0])):
-            row = {"state": told[0]["state"][world : world + 1]}
+            row = {"state": observations[0]["state"][world : world + 1]}
             actions[world] = drivers[world].act(row)[0]
         return [actions]
 
@@ -48,14 +51,14 @@ def tour(starts: list[tuple[Track, str]], laps: int) -> np.ndarray:
 
 
 def finish(env: RaceEnv, choose) -> np.ndarray:
-    told = env.reset(seed=3)
+    observations = env.reset(seed=3)
     farthest = env.cfg.sim.rules.laps * float(env.tracks.length.max())
     for _ in range(round(15 * (20 + farthest / 0.8))):
-        step = env.step(np.stack(choose(told), axis=1))
-        told = step.observations
+        step = env.step(np.stack(choose(observations), axis=1))
+        observations = step.observations
         if step.terminated.all():
             break
-    assert step.terminated.all(), "somebody did not finish"
+    assert step.terminated.all(), "a car did not finish"
     return env.world.cars
 
 

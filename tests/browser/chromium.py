@@ -1,4 +1,4 @@
-"""A headless Chromium with software rendering, told what to do through its debugging pipe."""
+"""A headless Chromium with software rendering, controlled through its debugging pipe."""
 
 from __future__ import annotations
 
@@ -138,22 +138,22 @@ class Chromium:
             order["sessionId"] = self._session
         os.write(self._out, json.dumps(order).encode() + b"\0")
         while True:
-            told = self._next()
-            if told.get("id") == self._count:
-                if "error" in told:
-                    raise RuntimeError(f"{method}: {told['error']}")
-                return told["result"]
-            self._note(told)
+            message = self._next()
+            if message.get("id") == self._count:
+                if "error" in message:
+                    raise RuntimeError(f"{method}: {message['error']}")
+                return message["result"]
+            self._note(message)
 
-    def _note(self, told: dict) -> None:
-        params = told.get("params", {})
-        if told.get("method") == "Network.requestWillBeSent":
+    def _note(self, message: dict) -> None:
+        params = message.get("params", {})
+        if message.get("method") == "Network.requestWillBeSent":
             self.requests.append(params["request"]["url"])
-        elif told.get("method") == "Runtime.consoleAPICalled":
+        elif message.get("method") == "Runtime.consoleAPICalled":
             if params["type"] in ("error", "warning"):
                 words = (str(arg.get("value", "")) for arg in params["args"])
                 self.console.append(" ".join(words))
-        elif told.get("method") == "Runtime.exceptionThrown":
+        elif message.get("method") == "Runtime.exceptionThrown":
             self.console.append(json.dumps(params["exceptionDetails"])[:500])
 
     def _next(self, limit_s: float = 60.0) -> dict:
@@ -164,8 +164,8 @@ class Chromium:
             if not part:
                 raise TimeoutError("Chromium does not answer")
             self._left += part
-        told, self._left = self._left.split(b"\0", 1)
-        return json.loads(told)
+        message, self._left = self._left.split(b"\0", 1)
+        return json.loads(message)
 
 
 def save(picture: np.ndarray, path: Path | str) -> None:

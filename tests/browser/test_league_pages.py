@@ -88,7 +88,7 @@ def test_a_race_that_plays_leaves_a_screen_reader_where_it_is(browser, origin, c
     before = clock.inner_text()
     expect(order).not_to_have_text(order.text_content())
     assert clock.inner_text() != before
-    # Rows that were replaced would take the place of who reads them away.
+    # Rows that were replaced would lose the reader's place.
     assert row.evaluate("row => row.isConnected")
     # It says each new value of a slider that has the focus: many in a second, if they were shown.
     slider = focused_slider(page)

@@ -68,7 +68,7 @@ def test_the_browser_shows_the_race_and_asks_nobody_else(tmp_path):
         picture = wait_for(browser, shows_the_race)
         chromium.save(picture, tmp_path / "race.png")
         assert shows_the_race(picture), f"see {tmp_path / 'race.png'}"
-        # It plays by itself: the picture changes while nobody touches it.
+        # It plays by itself: the picture changes without a touch.
         later = wait_for(browser, lambda now: share_changed(now, picture) > 0.01)
         assert share_changed(later, picture) > 0.01
         outside = [url for url in browser.requests if not url.startswith(server.origin)]

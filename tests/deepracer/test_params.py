@@ -29,7 +29,7 @@ NOSE = RADIUS * math.atan(0.14 / RADIUS)  # how far round the ring the nose is a
 """Along the ring; across it the nose of a car on the centreline is 5.1 mm outside."""
 
 
-class Told:
+class Scene:
     """Asks for params step after step, as an environment would."""
 
     def __init__(self, tracks, sim, start, *, car=0, num_worlds=1):
@@ -54,15 +54,15 @@ class Told:
 
 
 def alone(tracks, start, end, **options):
-    return Told(tracks, ALONE, [start]).step([end], **options)[0]
+    return Scene(tracks, ALONE, [start]).step([end], **options)[0]
 
 
 @pytest.mark.parametrize("num_worlds", [1, 3])
 def test_there_are_27_keys_of_plain_python_types(ring, num_worlds):
-    told = Told(ring(), BOXES, [(1.0, 0.0)], num_worlds=num_worlds).step([(1.1, 0.0)])
-    assert len(told) == num_worlds
+    rows = Scene(ring(), BOXES, [(1.0, 0.0)], num_worlds=num_worlds).step([(1.1, 0.0)])
+    assert len(rows) == num_worlds
     assert len(KEYS) == 27
-    for params in told:
+    for params in rows:
         assert tuple(sorted(params)) == KEYS
         for key, value in params.items():
             wanted = bool if key.startswith(("is_", "all_", "object_in")) else float
@@ -78,22 +78,22 @@ def test_there_are_27_keys_of_plain_python_types(ring, num_worlds):
         assert all(type(one) is bool for one in params["objects_left_of_center"])
 
 
-def test_place_is_told_of_the_nose_14_cm_ahead_of_the_base(straight):
-    told = alone(straight(), (2.9, 0.1), (3.0, 0.1))
-    assert (told["x"], told["y"]) == pytest.approx((3.14, 0.1), abs=1e-6)
-    assert told["heading"] == pytest.approx(0.0)
-    assert told["distance_from_center"] == pytest.approx(0.1, abs=1e-6)
-    assert told["projection_distance"] == pytest.approx(3.14, abs=1e-5)
-    assert told["is_left_of_center"] is True
-    assert told["track_width"] == pytest.approx(0.8)
-    assert told["track_length"] == pytest.approx(10.0)
+def test_place_is_that_of_the_nose_14_cm_ahead_of_the_base(straight):
+    params = alone(straight(), (2.9, 0.1), (3.0, 0.1))
+    assert (params["x"], params["y"]) == pytest.approx((3.14, 0.1), abs=1e-6)
+    assert params["heading"] == pytest.approx(0.0)
+    assert params["distance_from_center"] == pytest.approx(0.1, abs=1e-6)
+    assert params["projection_distance"] == pytest.approx(3.14, abs=1e-5)
+    assert params["is_left_of_center"] is True
+    assert params["track_width"] == pytest.approx(0.8)
+    assert params["track_length"] == pytest.approx(10.0)
 
 
 def test_nose_turns_with_the_car(straight):
-    told = alone(straight(), (3.0, 0.0), (3.0, 0.0), yaw=math.pi / 2)
-    assert (told["x"], told["y"]) == pytest.approx((3.0, 0.14), abs=1e-6)
-    assert told["heading"] == pytest.approx(90.0, abs=1e-4)
-    assert told["distance_from_center"] == pytest.approx(0.14, abs=1e-6)
+    params = alone(straight(), (3.0, 0.0), (3.0, 0.0), yaw=math.pi / 2)
+    assert (params["x"], params["y"]) == pytest.approx((3.0, 0.14), abs=1e-6)
+    assert params["heading"] == pytest.approx(90.0, abs=1e-4)
+    assert params["distance_from_center"] == pytest.approx(0.14, abs=1e-6)
 
 
 def test_heading_backwards_is_180_and_not_minus_180(straight):
@@ -102,19 +102,19 @@ def test_heading_backwards_is_180_and_not_minus_180(straight):
 
 def test_nose_leaves_the_centreline_of_a_bend_to_the_outside(ring):
     outside = math.hypot(RADIUS, 0.14) - RADIUS
-    told = alone(ring(), (2.9, 0.0), (3.0, 0.0))
-    assert told["distance_from_center"] == pytest.approx(outside, abs=2e-4)
-    assert told["projection_distance"] == pytest.approx(3.0 + NOSE, abs=1e-3)
-    assert told["is_left_of_center"] is False  # the outside of a left bend is on the right
+    params = alone(ring(), (2.9, 0.0), (3.0, 0.0))
+    assert params["distance_from_center"] == pytest.approx(outside, abs=2e-4)
+    assert params["projection_distance"] == pytest.approx(3.0 + NOSE, abs=1e-3)
+    assert params["is_left_of_center"] is False  # the outside of a left bend is on the right
     assert alone(ring(clockwise=True), (2.9, 0.0), (3.0, 0.0))["is_left_of_center"] is True
 
 
 @pytest.mark.parametrize("clockwise", [False, True])
 @pytest.mark.parametrize("lateral", [0.2, -0.2])
 def test_left_is_the_drivers_left_whichever_way_round(ring, clockwise, lateral):
-    told = alone(ring(clockwise=clockwise), (2.9, lateral), (3.0, lateral))
-    assert told["is_left_of_center"] is (lateral > 0)
-    assert told["is_reversed"] is clockwise
+    params = alone(ring(clockwise=clockwise), (2.9, lateral), (3.0, lateral))
+    assert params["is_left_of_center"] is (lateral > 0)
+    assert params["is_reversed"] is clockwise
 
 
 @pytest.mark.parametrize(
@@ -124,8 +124,8 @@ def test_left_is_the_drivers_left_whichever_way_round(ring, clockwise, lateral):
      (0.49, False, True), (-0.33, False, False), (-0.49, False, True)],
 )  # fmt: skip
 def test_one_wheel_ends_all_wheels_and_four_make_offtrack(straight, lateral, all_on, off):
-    told = alone(straight(), (2.9, lateral), (3.0, lateral))
-    assert (told["all_wheels_on_track"], told["is_offtrack"]) == (all_on, off)
+    params = alone(straight(), (2.9, lateral), (3.0, lateral))
+    assert (params["all_wheels_on_track"], params["is_offtrack"]) == (all_on, off)
 
 
 def test_waypoints_close_a_loop_by_repeating_the_first(ring):
@@ -162,7 +162,7 @@ def test_waypoint_after_the_last_one_is_the_first(straight):
     assert alone(straight(), (9.8, 0.0), (9.9, 0.0))["closest_waypoints"] == [67, 0]
 
 
-def told_waypoints(track, *places):
+def with_waypoints(track, *places):
     """Return a track with its own waypoints at these places, multiples of 5 cm."""
     rows = [round(20 * place) % len(track.center) for place in places]
     return replace(track, waypoints=track.center[rows])
@@ -178,13 +178,17 @@ def closest(roads, tracks, s, *, track=0):
     return [int(one) for one in pair]
 
 
-def test_waypoints_of_its_own_are_told_as_they_are():
-    track = told_waypoints(make_ring(), 0, 3, 3, 6, 9, 12)
-    told = alone(TrackSet(track), (2.9, 0.0), (3.0, 0.0))
-    assert told["waypoints"] == [tuple(point) for point in track.waypoints.tolist()]
-    assert len(told["waypoints"]) == 6
-    assert told["waypoints"][1] == told["waypoints"][2] == pytest.approx((RADIUS, RADIUS), abs=1e-3)
-    assert told["closest_waypoints"] == [2, 3]  # the nose is at 3.14 m
+def test_waypoints_of_its_own_are_given_as_they_are():
+    track = with_waypoints(make_ring(), 0, 3, 3, 6, 9, 12)
+    params = alone(TrackSet(track), (2.9, 0.0), (3.0, 0.0))
+    assert params["waypoints"] == [tuple(point) for point in track.waypoints.tolist()]
+    assert len(params["waypoints"]) == 6
+    assert (
+        params["waypoints"][1]
+        == params["waypoints"][2]
+        == pytest.approx((RADIUS, RADIUS), abs=1e-3)
+    )
+    assert params["closest_waypoints"] == [2, 3]  # the nose is at 3.14 m
     earlier = alone(TrackSet(track), (2.7, 0.0), (2.8, 0.0))
     assert earlier["closest_waypoints"] == [0, 1]  # the nose is at 2.94 m
 
@@ -201,7 +205,7 @@ def test_closest_of_a_tracks_own_waypoints_wherever_the_first_one_lies(
     first, clockwise, further, pair
 ):
     places = [first + place for place in (0, 1, 4, 4, 9, 12)]
-    track = told_waypoints(make_ring(clockwise=clockwise), *places)
+    track = with_waypoints(make_ring(clockwise=clockwise), *places)
     assert closest(Roads.of(TrackSet(track)), [track], (first + further) % 12) == pair
 
 
@@ -212,7 +216,7 @@ def test_closest_of_a_tracks_own_waypoints_wherever_the_first_one_lies(
      (11.99, [4, 5])],
 )  # fmt: skip
 def test_closest_waypoints_of_a_reversed_track_count_the_other_way(further, pair):
-    track = told_waypoints(make_ring(), 1.5, 2.5, 5.5, 5.5, 10.5, 13.5)
+    track = with_waypoints(make_ring(), 1.5, 2.5, 5.5, 5.5, 10.5, 13.5)
     back = track.reversed()
     roads = Roads.of(TrackSet(track, back))
     assert roads.waypoints[1] == roads.waypoints[0][::-1]
@@ -229,13 +233,13 @@ def test_closest_waypoints_of_a_straight_have_nothing_before_the_first_and_0_aft
     s, pair
 ):
     # They begin 0.5 m after the start and end 0.5 m before the end.
-    track = told_waypoints(make_straight(), 0.5, 4, 4, 9.5)
+    track = with_waypoints(make_straight(), 0.5, 4, 4, 9.5)
     assert closest(Roads.of(TrackSet(track)), [track], s) == pair
 
 
 def test_tracks_with_waypoints_of_their_own_and_without_stand_side_by_side():
-    own = told_waypoints(make_ring(), 0, 1, 4, 4, 9, 12)
-    other = told_waypoints(make_ring(), 0, 2, 7, 12)
+    own = with_waypoints(make_ring(), 0, 1, 4, 4, 9, 12)
+    other = with_waypoints(make_ring(), 0, 2, 7, 12)
     plain = make_straight()
     tracks = (own, plain, other, plain)
     roads = Roads.of(TrackSet(*tracks))
@@ -243,14 +247,14 @@ def test_tracks_with_waypoints_of_their_own_and_without_stand_side_by_side():
     # 67 stretches on 10 m: 4.6 m is the 30.8th.
     assert pairs == [[3, 4], [30, 31], [1, 2], [30, 31]]
     assert roads.waypoints[1] == Roads.of(TrackSet(plain)).waypoints[0]
-    told = Told(TrackSet(own, other), ALONE, [(4.5, 0.0)], num_worlds=2)
-    told.world.worlds["track"] = 0, 1
-    assert [row["closest_waypoints"] for row in told.step([(4.6, 0.0)])] == [[3, 4], [1, 2]]
+    scene = Scene(TrackSet(own, other), ALONE, [(4.5, 0.0)], num_worlds=2)
+    scene.world.worlds["track"] = 0, 1
+    assert [row["closest_waypoints"] for row in scene.step([(4.6, 0.0)])] == [[3, 4], [1, 2]]
 
 
 def test_no_two_closest_waypoints_are_the_same_place():
     # The first, the last and one in between come twice, as files have them.
-    track = told_waypoints(make_ring(), 0, 0, 3, 3, 9, 12, 12)
+    track = with_waypoints(make_ring(), 0, 0, 3, 3, 9, 12, 12)
     roads = Roads.of(TrackSet(track))
     for s in (0.0, 1.5, 3.0, 6.0, 9.0, 11.9999999, math.nextafter(12.0, 0.0), 12.0):
         behind, ahead = closest(roads, [track], s)
@@ -277,41 +281,41 @@ def test_closest_waypoints_of_a_community_track_are_those_of_its_own_polyline(pa
 
 def test_speed_and_steering_are_what_was_asked_for_not_what_is(straight):
     asked = (math.radians(-15.0), 2.5)
-    told = alone(straight(), (3.0, 0.0), (3.1, 0.0), speed=1.0, asked=asked)
-    assert (told["speed"], told["steering_angle"]) == (2.5, -15.0)  # to the last bit
+    params = alone(straight(), (3.0, 0.0), (3.1, 0.0), speed=1.0, asked=asked)
+    assert (params["speed"], params["steering_angle"]) == (2.5, -15.0)  # to the last bit
 
 
 def test_steps_count_from_one_and_again_after_a_restart(straight):
-    told = Told(straight(), ALONE, [(3.0, 0.0)])
-    assert [told.step([(3.0 + 0.1 * n, 0.0)])[0]["steps"] for n in (1, 2, 3)] == [1, 2, 3]
-    told.restart()
-    assert told.step([(3.4, 0.0)])[0]["steps"] == 1
+    scene = Scene(straight(), ALONE, [(3.0, 0.0)])
+    assert [scene.step([(3.0 + 0.1 * n, 0.0)])[0]["steps"] for n in (1, 2, 3)] == [1, 2, 3]
+    scene.restart()
+    assert scene.step([(3.4, 0.0)])[0]["steps"] == 1
 
 
 def test_progress_is_counted_from_where_the_episode_began(ring):
-    told = Told(ring(), ALONE, [(4.0, 0.0)])
+    scene = Scene(ring(), ALONE, [(4.0, 0.0)])
     # 30 cm and 60 cm of 12 m are 2.5 and 5 %.
-    assert told.step([(4.3, 0.0)])[0]["progress"] == pytest.approx(2.5, abs=1e-3)
-    assert told.step([(4.6, 0.0)])[0]["progress"] == pytest.approx(5.0, abs=1e-3)
-    told.restart()
-    assert told.step([(4.9, 0.0)])[0]["progress"] == pytest.approx(2.5, abs=1e-3)
+    assert scene.step([(4.3, 0.0)])[0]["progress"] == pytest.approx(2.5, abs=1e-3)
+    assert scene.step([(4.6, 0.0)])[0]["progress"] == pytest.approx(5.0, abs=1e-3)
+    scene.restart()
+    assert scene.step([(4.9, 0.0)])[0]["progress"] == pytest.approx(2.5, abs=1e-3)
 
 
 def test_progress_grows_across_the_start_line_and_falls_backwards(ring):
-    told = Told(ring(), ALONE, [(11.7, 0.0)])
-    told.world.cars["best_distance"] = 13.0  # no lap ends here
-    assert told.step([(12.3, 0.0)])[0]["progress"] == pytest.approx(5.0, abs=1e-3)
-    assert told.step([(11.4, 0.0)])[0]["progress"] == pytest.approx(-2.5, abs=1e-3)
+    scene = Scene(ring(), ALONE, [(11.7, 0.0)])
+    scene.world.cars["best_distance"] = 13.0  # no lap ends here
+    assert scene.step([(12.3, 0.0)])[0]["progress"] == pytest.approx(5.0, abs=1e-3)
+    assert scene.step([(11.4, 0.0)])[0]["progress"] == pytest.approx(-2.5, abs=1e-3)
 
 
 def test_progress_is_100_when_the_lap_is_complete_and_then_begins_anew(ring):
     two_laps = replace(ALONE, rules=RaceRules(laps=2))
-    told = Told(ring(), two_laps, [(0.0, 0.0)])
+    scene = Scene(ring(), two_laps, [(0.0, 0.0)])
     # As if it had been round: the book knows of 11.9 m.
-    told.world.cars[:] = put_cars(ring(), two_laps, [(11.9, 0.0)]).cars
-    memory = told.builder.memory
+    scene.world.cars[:] = put_cars(ring(), two_laps, [(11.9, 0.0)]).cars
+    memory = scene.builder.memory
     memory["fresh"], memory["lead"] = False, NOSE
-    before, at, after = (told.step([(s, 0.0)])[0] for s in (11.95, 12.05, 12.17))
+    before, at, after = (scene.step([(s, 0.0)])[0] for s in (11.95, 12.05, 12.17))
     assert before["progress"] == pytest.approx(100 * 11.95 / 12, abs=2e-3)
     assert at["progress"] == 100.0
     assert (at["steps"], after["steps"]) == (2, 1)
@@ -319,49 +323,49 @@ def test_progress_is_100_when_the_lap_is_complete_and_then_begins_anew(ring):
 
 
 def test_progress_is_held_below_100_until_the_lap_is_counted(ring):
-    told = Told(ring(), TWO, [(-0.75, 0.0), (-3.0, 0.0)])
-    memory = told.builder.memory
+    scene = Scene(ring(), TWO, [(-0.75, 0.0), (-3.0, 0.0)])
+    memory = scene.builder.memory
     memory["fresh"][:], memory["lead"][:], memory["start"][:] = False, NOSE, -0.75
-    told.world.cars[:] = put_cars(ring(), TWO, [(11.8, 0.0), (6.0, 0.0)]).cars
-    params = told.step([(11.9, 0.0), (6.1, 0.0)])[0]  # 12.65 m since the grid
+    scene.world.cars[:] = put_cars(ring(), TWO, [(11.8, 0.0), (6.0, 0.0)]).cars
+    params = scene.step([(11.9, 0.0), (6.1, 0.0)])[0]  # 12.65 m since the grid
     assert 99.999 < params["progress"] < 100.0
 
 
 def test_time_is_of_the_simulation(straight):
-    told = Told(straight(), ALONE, [(3.0, 0.0)])
-    told.step([(3.1, 0.0)])
-    assert told.step([(3.2, 0.0)])[0]["sim_time"] == pytest.approx(2 / 15)
+    scene = Scene(straight(), ALONE, [(3.0, 0.0)])
+    scene.step([(3.1, 0.0)])
+    assert scene.step([(3.2, 0.0)])[0]["sim_time"] == pytest.approx(2 / 15)
 
 
 def test_alone_all_object_lists_are_empty_and_closest_is_0_0(ring):
-    told = alone(ring(), (2.9, 0.0), (3.0, 0.0))
+    params = alone(ring(), (2.9, 0.0), (3.0, 0.0))
     lists = [key for key in KEYS if key.startswith("objects_")]
     assert len(lists) == 6
-    assert [told[key] for key in lists] == [[]] * 6
-    assert told["closest_objects"] == [0, 0]
-    assert told["object_in_camera"] is False
-    assert told["is_crashed"] is False
+    assert [params[key] for key in lists] == [[]] * 6
+    assert params["closest_objects"] == [0, 0]
+    assert params["object_in_camera"] is False
+    assert params["is_crashed"] is False
 
 
-def test_boxes_that_are_moved_by_a_restart_are_told_where_they_are_now(ring):
-    told = Told(ring(), BOXES, [(4.9, 0.0)])
-    first, again = (told.step([(end, 0.0)])[0]["objects_location"] for end in (5.0, 5.1))
+def test_boxes_that_are_moved_by_a_restart_are_given_where_they_are_now(ring):
+    scene = Scene(ring(), BOXES, [(4.9, 0.0)])
+    first, again = (scene.step([(end, 0.0)])[0]["objects_location"] for end in (5.0, 5.1))
     assert again == first
-    told.world.obstacles["x"] += 0.5
-    moved = told.step([(5.2, 0.0)])[0]["objects_location"]
+    scene.world.obstacles["x"] += 0.5
+    moved = scene.step([(5.2, 0.0)])[0]["objects_location"]
     assert moved == [pytest.approx([x + 0.5, y], abs=1e-6) for x, y in first]
 
 
-def test_boxes_are_told_with_place_lane_and_heading(ring):
-    told = Told(ring(), BOXES, [(4.9, 0.0)]).step([(5.0, 0.0)])[0]
-    assert told["objects_distance"] == pytest.approx([3.0, 9.0], abs=1e-3)
+def test_boxes_are_given_with_place_lane_and_heading(ring):
+    params = Scene(ring(), BOXES, [(4.9, 0.0)]).step([(5.0, 0.0)])[0]
+    assert params["objects_distance"] == pytest.approx([3.0, 9.0], abs=1e-3)
     # A quarter round the ring, 20 cm inside; three quarters, 20 cm outside.
-    assert told["objects_location"][0] == pytest.approx([RADIUS - 0.2, RADIUS], abs=1e-3)
-    assert told["objects_location"][1] == pytest.approx([-RADIUS - 0.2, RADIUS], abs=1e-3)
-    assert told["objects_heading"] == pytest.approx([90.0, -90.0], abs=0.01)
-    assert told["objects_left_of_center"] == [True, False]
-    assert told["objects_distance_from_center"] == pytest.approx([0.2, 0.2], abs=1e-6)
-    assert told["objects_speed"] == [0.0, 0.0]
+    assert params["objects_location"][0] == pytest.approx([RADIUS - 0.2, RADIUS], abs=1e-3)
+    assert params["objects_location"][1] == pytest.approx([-RADIUS - 0.2, RADIUS], abs=1e-3)
+    assert params["objects_heading"] == pytest.approx([90.0, -90.0], abs=0.01)
+    assert params["objects_left_of_center"] == [True, False]
+    assert params["objects_distance_from_center"] == pytest.approx([0.2, 0.2], abs=1e-6)
+    assert params["objects_speed"] == [0.0, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -369,26 +373,26 @@ def test_boxes_are_told_with_place_lane_and_heading(ring):
     [(1.0, [1, 0]), (2.8, [1, 0]), (2.9, [0, 1]), (8.0, [0, 1]), (10.0, [1, 0])],
 )
 def test_closest_objects_are_behind_and_ahead_of_the_nose_round_the_lap(ring, base, closest):
-    told = Told(ring(), BOXES, [(base - 0.1, 0.0)]).step([(base, 0.0)])[0]
-    assert told["closest_objects"] == closest
+    params = Scene(ring(), BOXES, [(base - 0.1, 0.0)]).step([(base, 0.0)])[0]
+    assert params["closest_objects"] == closest
 
 
-def test_crash_is_told_to_whom_is_to_blame_and_only_in_that_step(ring):
-    told = Told(ring(), BOXES, [(2.5, 0.2)])
-    assert told.step([(2.6, 0.2)])[0]["is_crashed"] is False
-    assert told.step([(2.7, 0.2)], hits=((0, 0),))[0]["is_crashed"] is True
+def test_only_the_car_to_blame_has_crashed_and_only_in_that_step(ring):
+    scene = Scene(ring(), BOXES, [(2.5, 0.2)])
+    assert scene.step([(2.6, 0.2)])[0]["is_crashed"] is False
+    assert scene.step([(2.7, 0.2)], hits=((0, 0),))[0]["is_crashed"] is True
 
 
 @pytest.mark.parametrize(("car", "crashed"), [(0, True), (1, False)])
 def test_of_two_cars_the_rear_one_crashed(ring, car, crashed):
-    told = Told(ring(), TWO, [(3.0, 0.1), (3.3, 0.1)], car=car)
-    (params,) = told.step([(3.1, 0.1), (3.4, 0.1)], pairs=((0, 1),))
+    scene = Scene(ring(), TWO, [(3.0, 0.1), (3.3, 0.1)], car=car)
+    (params,) = scene.step([(3.1, 0.1), (3.4, 0.1)], pairs=((0, 1),))
     assert params["is_crashed"] is crashed
 
 
 def test_other_car_is_an_object_with_its_true_speed(ring):
-    told = Told(ring(), TWO, [(3.0, 0.0), (5.9, -0.2)])
-    (params,) = told.step([(3.1, 0.0), (6.0, -0.2)], speed=1.5)
+    scene = Scene(ring(), TWO, [(3.0, 0.0), (5.9, -0.2)])
+    (params,) = scene.step([(3.1, 0.0), (6.0, -0.2)], speed=1.5)
     assert params["objects_distance"] == pytest.approx([6.0], abs=1e-3)
     assert params["objects_location"][0] == pytest.approx([0.0, 2 * RADIUS + 0.2], abs=1e-3)
     assert params["objects_speed"] == pytest.approx([1.5])
@@ -397,9 +401,9 @@ def test_other_car_is_an_object_with_its_true_speed(ring):
     assert params["closest_objects"] == [0, 0]
 
 
-def test_each_car_is_told_of_the_other_and_not_of_itself(ring):
-    told = Told(ring(), TWO, [(3.0, 0.0), (5.9, -0.2)], car=1)
-    (params,) = told.step([(3.1, 0.0), (6.0, -0.2)])
+def test_each_car_is_given_the_other_and_not_of_itself(ring):
+    scene = Scene(ring(), TWO, [(3.0, 0.0), (5.9, -0.2)], car=1)
+    (params,) = scene.step([(3.1, 0.0), (6.0, -0.2)])
     assert params["objects_distance"] == pytest.approx([3.1], abs=1e-3)
 
 
@@ -409,19 +413,19 @@ def test_each_car_is_told_of_the_other_and_not_of_itself(ring):
     [(1.0, 0.0, True), (2.0, 0.35, True), (0.6, 0.38, False), (-1.0, 0.0, False)],
 )
 def test_next_object_is_in_the_camera_when_it_lies_in_its_view(straight, gap, lateral, seen):
-    told = Told(straight(), TWO, [(4.9, -0.38), (4.9 + gap, lateral)])
-    (params,) = told.step([(5.0, -0.38), (5.0 + gap, lateral)])
+    scene = Scene(straight(), TWO, [(4.9, -0.38), (4.9 + gap, lateral)])
+    (params,) = scene.step([(5.0, -0.38), (5.0 + gap, lateral)])
     assert params["object_in_camera"] is seen
 
 
 def test_car_that_stands_a_penalty_is_not_asked(ring):
-    told = Told(ring(), ALONE, [(3.0, 0.0)])
-    told.world.cars["penalty_s"] = 2.0
-    assert told.step([(3.0, 0.0)]) == []
+    scene = Scene(ring(), ALONE, [(3.0, 0.0)])
+    scene.world.cars["penalty_s"] = 2.0
+    assert scene.step([(3.0, 0.0)]) == []
 
 
 def test_speed_of_an_object_counts_both_axes(ring):
-    told = Told(ring(), TWO, [(3.0, 0.0), (4.4, 0.0)])
-    (params,) = told.step([(3.1, 0.0), (4.5, 0.0)], speed=2.0)  # 135 deg round the ring
+    scene = Scene(ring(), TWO, [(3.0, 0.0), (4.4, 0.0)])
+    (params,) = scene.step([(3.1, 0.0), (4.5, 0.0)], speed=2.0)  # 135 deg round the ring
     assert params["objects_speed"] == pytest.approx([2.0])
     assert params["objects_heading"] == pytest.approx([135.0], abs=0.01)

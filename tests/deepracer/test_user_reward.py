@@ -49,10 +49,10 @@ def env_with(path, *, num_worlds=1, sim=ALONE, cars=(0,), mode="training"):
 
 
 def drive(env, steps, speed=1.5):
-    told, paid = env.reset(seed=3), []
+    observations, paid = env.reset(seed=3), []
     for _ in range(steps):
-        step = env.step(np.stack([follow_center(one, speed) for one in told], axis=1))
-        told = step.observations
+        step = env.step(np.stack([follow_center(one, speed) for one in observations], axis=1))
+        observations = step.observations
         paid.append(copy.deepcopy(step))
     return paid
 
@@ -443,7 +443,7 @@ def test_presets_are_named_and_others_refused():
         rewards.preset("centreline")
 
 
-def test_reward_is_told_of_every_episode_that_begins():
+def test_reward_hears_of_every_episode_that_begins():
     class Listener:
         terms = ()
 

@@ -54,9 +54,9 @@ def test_two_numbers_from_minus_one_to_one_are_an_action(action):
     ],
 )
 def test_anything_else_is_refused_with_a_sentence(action, sentence):
-    with pytest.raises(ActionError, match=sentence) as told:
+    with pytest.raises(ActionError, match=sentence) as raised:
         checked(action, "car_0")
-    assert "car_0" in str(told.value) and "\n" not in str(told.value)
+    assert "car_0" in str(raised.value) and "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize(
@@ -87,8 +87,8 @@ def test_a_refused_action_changes_nothing():
     for _ in range(5):
         with pytest.raises(ActionError):
             one.step({**good, "car_1": [np.nan, 0]})
-        told = [env.step(good)[0] for env in (one, other)]
-        assert np.array_equal(told[0]["car_0"]["motion"], told[1]["car_0"]["motion"])
+        observed = [env.step(good)[0] for env in (one, other)]
+        assert np.array_equal(observed[0]["car_0"]["motion"], observed[1]["car_0"]["motion"])
 
 
 def test_nobody_acts_before_the_first_reset():

@@ -28,12 +28,14 @@ def test_parallel_env_has_four_cars_among_six_obstacles(solver, kind, thing):
         make_ring(), kind, 4, solver=solver, sensors="lidar", privileged=True,
         obstacles=ObstacleConfig(count=6, kind=thing),
     )  # fmt: skip
-    told, _ = env.reset(seed=3)
+    observations, _ = env.reset(seed=3)
     assert env._env.world.num_obstacles == 6
-    scans = [told["car_0"]["lidar"]]
+    scans = [observations["car_0"]["lidar"]]
     for _ in range(30):
-        told, *_ = env.step({agent: np.array([0.1, -0.5], np.float32) for agent in env.agents})
-        scans.append(told["car_0"]["lidar"])
+        observations, *_ = env.step(
+            {agent: np.array([0.1, -0.5], np.float32) for agent in env.agents}
+        )
+        scans.append(observations["car_0"]["lidar"])
     assert np.ptp(scans, axis=0).max() > 0.5
     env.close()
 

@@ -21,7 +21,7 @@ CAMERA = CameraConfig(width=32, height=24)
 
 
 class Follower:
-    """Follows the centreline; counts how often it was told to forget."""
+    """Follows the centreline; counts how often it was reset."""
 
     def __init__(self, sensors: SensorConfig | None = None) -> None:
         self.name, self.sensors, self.resets = "follower", sensors or SensorConfig(), 0
@@ -101,11 +101,11 @@ def test_an_episode_ends_with_the_learners_mistake_and_tells_where():
     env = GymEnv(make_ring(), sensors=(), privileged=True)
     env.reset(seed=0)
     for _ in range(60):
-        told, reward, terminated, truncated, info = env.step(np.array([-1.0, 0.0]))
+        observation, reward, terminated, truncated, info = env.step(np.array([-1.0, 0.0]))
         if terminated:
             break
     assert terminated and not truncated and info["off_track"]
-    assert abs(told["state"][1]) > 0.4  # the ring is 0.8 m wide
+    assert abs(observation["state"][1]) > 0.4  # the ring is 0.8 m wide
     assert reward < -0.5
     with pytest.raises(ActionError, match="over or not begun: call reset"):
         env.step(np.array([0.0, 0.0]))
@@ -113,11 +113,11 @@ def test_an_episode_ends_with_the_learners_mistake_and_tells_where():
 
 def test_a_race_is_lost_by_nobody_and_ends_after_its_laps():
     env = GymEnv(make_ring(), mode="race", laps=2, sensors=(), privileged=True)
-    told, _ = env.reset(seed=0)
+    observation, _ = env.reset(seed=0)
     laps = []
     for _ in range(400):
-        action = follow_center({"state": told["state"][None]}, 2.0)[0]
-        told, _, terminated, truncated, info = env.step(action)
+        action = follow_center({"state": observation["state"][None]}, 2.0)[0]
+        observation, _, terminated, truncated, info = env.step(action)
         if info["lap"]:
             laps.append(info["last_lap_s"])
         if terminated or truncated:
@@ -138,8 +138,8 @@ def test_an_episode_is_cut_off_after_max_steps():
 def test_the_others_are_driven_by_the_given_drivers():
     follower = Follower(SensorConfig(lidar=LidarConfig(beams=8)))
     env = GymEnv(make_ring(), "head_to_head", opponents=(follower, "centerline"), sensors=())
-    told, _ = env.reset(seed=0)
-    assert set(told) == {"motion"}  # the learner's own, whatever the others carry
+    observation, _ = env.reset(seed=0)
+    assert set(observation) == {"motion"}  # the learner's own, whatever the others carry
     before = env.learner.env.world.cars["distance"].copy()
     for _ in range(30):
         env.step(np.array([0.0, -1.0]))
@@ -172,9 +172,9 @@ def test_the_batch_equals_gymnasiums_own_vector_step_by_step(name):
     ended = 0
     for step in range(60):
         actions = dice.uniform(-1, 1, (3, 2)).astype(np.float32)
-        told, expected = batch.step(actions), loop.step(actions)
-        assert data_equivalence(told, expected, exact=True), step
-        ended += int((told[2] | told[3]).sum())
+        result, expected = batch.step(actions), loop.step(actions)
+        assert data_equivalence(result, expected, exact=True), step
+        ended += int((result[2] | result[3]).sum())
     assert ended >= 6  # each at least twice
     # Without a seed the row of races goes on, alike in both.
     assert data_equivalence(batch.reset(), loop.reset(), exact=True)
@@ -233,9 +233,9 @@ def test_a_batch_takes_gymnasiums_name_for_the_longest_episode():
     ],
 )
 def test_wrong_words_bring_one_sentence(door, settings, error, sentence):
-    with pytest.raises(error, match=sentence) as told:
+    with pytest.raises(error, match=sentence) as raised:
         door(**settings)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize("seed", [1.5, np.float64(2), "abc", object(), -1, [1, "x"]])

@@ -41,69 +41,71 @@ def test_own_motion_is_scaled_and_ends_with_the_last_action(straight):
 def test_state_tells_place_speed_and_borders(ring, num_worlds):
     tracks, sim = ring(), field(1)
     world = put_cars(tracks, sim, [(15.0, 0.1)], num_worlds=num_worlds, speed=2.0)
-    told = seen(tracks, world, row=-1)
-    assert told["s"] == pytest.approx(3.0, abs=1e-4)
-    assert told["lateral"] == pytest.approx(0.1, abs=1e-5)
-    assert told["heading_error"] == pytest.approx(0.0, abs=1e-3)
-    assert told["speed_ahead"] == pytest.approx(2.0, abs=1e-4)
-    assert told["speed_left"] == pytest.approx(0.0, abs=1e-3)
-    assert (told["left"], told["right"]) == pytest.approx((0.4, 0.4), abs=1e-5)
-    assert told["progress"] == pytest.approx(1.25, abs=1e-4)
-    assert told["curvature_1m"] == pytest.approx(1 / 1.9099, abs=1e-3)
+    values = seen(tracks, world, row=-1)
+    assert values["s"] == pytest.approx(3.0, abs=1e-4)
+    assert values["lateral"] == pytest.approx(0.1, abs=1e-5)
+    assert values["heading_error"] == pytest.approx(0.0, abs=1e-3)
+    assert values["speed_ahead"] == pytest.approx(2.0, abs=1e-4)
+    assert values["speed_left"] == pytest.approx(0.0, abs=1e-3)
+    assert (values["left"], values["right"]) == pytest.approx((0.4, 0.4), abs=1e-5)
+    assert values["progress"] == pytest.approx(1.25, abs=1e-4)
+    assert values["curvature_1m"] == pytest.approx(1 / 1.9099, abs=1e-3)
 
 
 def test_heading_error_is_positive_to_the_left(straight):
     tracks, sim = straight(), field(1)
     world = put_cars(tracks, sim, [(3.0, 0.0)])
     world.cars["yaw"] = 0.3
-    told = seen(tracks, world)
-    assert told["heading_error"] == pytest.approx(0.3)
+    values = seen(tracks, world)
+    assert values["heading_error"] == pytest.approx(0.3)
     # 1 m/s along the track is to the right of a car that looks to the left.
-    assert told["speed_left"] == pytest.approx(-0.2955, abs=1e-4)
+    assert values["speed_left"] == pytest.approx(-0.2955, abs=1e-4)
 
 
-def test_neighbours_are_told_nearest_first_ahead_or_behind(ring):
+def test_neighbours_are_given_nearest_first_ahead_or_behind(ring):
     tracks, sim = ring(), field(5)
     places = [(11.5, 0.0), (12.3, 0.1), (11.0, -0.1), (14.5, 0.0), (6.0, 0.2)]
-    told = seen(tracks, put_cars(tracks, sim, places, speed=1.5))
-    assert told["car_0_gap"] == pytest.approx(-0.5, abs=1e-3)
-    assert told["car_0_lateral"] == pytest.approx(-0.1, abs=1e-4)
-    assert told["car_1_gap"] == pytest.approx(0.8, abs=1e-3)  # across the start line
-    assert told["car_2_gap"] == pytest.approx(3.0, abs=1e-3)
-    assert [told[f"car_{rank}_present"] for rank in range(3)] == [1, 1, 1]
-    assert told["car_1_speed"] == pytest.approx(1.5, abs=1e-3)
+    values = seen(tracks, put_cars(tracks, sim, places, speed=1.5))
+    assert values["car_0_gap"] == pytest.approx(-0.5, abs=1e-3)
+    assert values["car_0_lateral"] == pytest.approx(-0.1, abs=1e-4)
+    assert values["car_1_gap"] == pytest.approx(0.8, abs=1e-3)  # across the start line
+    assert values["car_2_gap"] == pytest.approx(3.0, abs=1e-3)
+    assert [values[f"car_{rank}_present"] for rank in range(3)] == [1, 1, 1]
+    assert values["car_1_speed"] == pytest.approx(1.5, abs=1e-3)
 
 
-def test_each_car_is_told_of_all_others(ring):
+def test_each_car_observes_all_others(ring):
     tracks, sim = ring(), field(3)
     world = put_cars(tracks, sim, [(3.0, 0.0), (4.0, 0.1), (6.0, -0.1)], speed=1.5)
-    for car, told_of in enumerate([((1.0, 0.1), (3.0, -0.1)), ((-1.0, 0.0), (2.0, -0.1)),
+    for car, others in enumerate([((1.0, 0.1), (3.0, -0.1)), ((-1.0, 0.0), (2.0, -0.1)),
                                    ((-2.0, 0.1), (-3.0, 0.0))]):  # fmt: skip
-        told = seen(tracks, world, car)
-        for rank, (gap, lateral) in enumerate(told_of):
-            assert told[f"car_{rank}_present"] == 1
-            assert told[f"car_{rank}_gap"] == pytest.approx(gap, abs=1e-3)
-            assert told[f"car_{rank}_lateral"] == pytest.approx(lateral, abs=1e-4)
-            assert told[f"car_{rank}_speed"] == pytest.approx(1.5, abs=1e-3)
+        values = seen(tracks, world, car)
+        for rank, (gap, lateral) in enumerate(others):
+            assert values[f"car_{rank}_present"] == 1
+            assert values[f"car_{rank}_gap"] == pytest.approx(gap, abs=1e-3)
+            assert values[f"car_{rank}_lateral"] == pytest.approx(lateral, abs=1e-4)
+            assert values[f"car_{rank}_speed"] == pytest.approx(1.5, abs=1e-3)
 
 
 def test_of_neighbours_equally_far_the_one_of_the_lower_number_comes_first(straight):
     tracks, sim = straight(), field(3)
     for gap in (0.5, -0.5):
-        told = seen(tracks, put_cars(tracks, sim, [(5.0, 0.0), (5.0 + gap, 0.1), (5.0 - gap, 0.2)]))
-        assert (told["car_0_gap"], told["car_1_gap"]) == (gap, -gap)
+        values = seen(
+            tracks, put_cars(tracks, sim, [(5.0, 0.0), (5.0 + gap, 0.1), (5.0 - gap, 0.2)])
+        )
+        assert (values["car_0_gap"], values["car_1_gap"]) == (gap, -gap)
 
 
 @pytest.mark.parametrize("num_cars", [1, 2, 3])
-def test_absent_neighbours_are_told_as_far_away(ring, num_cars):
+def test_absent_neighbours_are_given_as_far_away(ring, num_cars):
     tracks, sim = ring(), field(num_cars)
-    told = seen(tracks, put_cars(tracks, sim, [(float(car), 0.0) for car in range(num_cars)]))
+    values = seen(tracks, put_cars(tracks, sim, [(float(car), 0.0) for car in range(num_cars)]))
     for rank in range(num_cars - 1, NEIGHBOURS):
-        assert told[f"car_{rank}_present"] == 0
-        assert told[f"car_{rank}_gap"] == ABSENT_GAP
+        assert values[f"car_{rank}_present"] == 0
+        assert values[f"car_{rank}_gap"] == ABSENT_GAP
 
 
-def test_frozen_cars_are_told_as_such(ring):
+def test_frozen_cars_are_observed_as_such(ring):
     tracks, sim = ring(), field(2)
     world = put_cars(tracks, sim, [(1.0, 0.0), (2.0, 0.0)])
     world.cars["penalty_s"] = 0.0, 1.0
@@ -112,30 +114,30 @@ def test_frozen_cars_are_told_as_such(ring):
     assert (second["frozen"], second["car_0_frozen"]) == (1, 0)
 
 
-def test_next_obstacles_ahead_are_told_and_one_beside_counts_until_it_is_passed(ring):
+def test_next_obstacles_ahead_are_given_and_one_alongside_counts_until_it_is_passed(ring):
     places = ((0.25, 1.0), (0.5, -1.0), (0.75, 1.0))
     sim = SimConfig(kind="obstacle_avoidance", obstacles=ObstacleConfig(count=3, places=places))
     tracks = ring()
     for s, gaps in ((2.0, [1, 4]), (3.3, [-0.3, 2.7]), (3.4, [2.6, 5.6]), (8.0, [1.0, None])):
-        told = seen(tracks, put_cars(tracks, sim, [(s, -0.2)]))
+        values = seen(tracks, put_cars(tracks, sim, [(s, -0.2)]))
         for rank, gap in enumerate(gaps):
             if gap is None:  # the next one is nearer behind than ahead
                 continue
-            assert told[f"obstacle_{rank}_present"] == 1
-            assert told[f"obstacle_{rank}_gap"] == pytest.approx(gap, abs=1e-3)
-    assert told["obstacle_0_lateral"] == pytest.approx(0.2, abs=1e-3)
+            assert values[f"obstacle_{rank}_present"] == 1
+            assert values[f"obstacle_{rank}_gap"] == pytest.approx(gap, abs=1e-3)
+    assert values["obstacle_0_lateral"] == pytest.approx(0.2, abs=1e-3)
 
 
 def test_state_of_a_mirrored_world_is_mirrored():
     sim = field(2)
     flips = {"lateral", "heading_error", "speed_left", "yaw_rate", "steering"}
-    told = []
+    values = []
     for track, side in ((make_ring(), 1.0), (make_ring().mirrored(), -1.0)):
         tracks = TrackSet(track)
-        told.append(seen(tracks, put_cars(tracks, sim, [(3.0, 0.1 * side), (3.9, -0.2 * side)])))
+        values.append(seen(tracks, put_cars(tracks, sim, [(3.0, 0.1 * side), (3.9, -0.2 * side)])))
     for name in FIELDS:
         sign = -1 if name in flips or name.startswith("curvature") or "lateral" in name else 1
-        assert told[0][name] == pytest.approx(sign * told[1][name], abs=1e-4), name
+        assert values[0][name] == pytest.approx(sign * values[1][name], abs=1e-4), name
 
 
 def test_layout_names_every_column_once():
@@ -144,8 +146,8 @@ def test_layout_names_every_column_once():
 
 def test_curvature_ahead_is_held_at_the_end_of_an_open_track():
     tracks, sim = TrackSet(make_straight()), field(1)
-    told = seen(tracks, put_cars(tracks, sim, [(9.0, 0.0)]))
-    assert told["curvature_6m"] == pytest.approx(0.0, abs=1e-6)
+    values = seen(tracks, put_cars(tracks, sim, [(9.0, 0.0)]))
+    assert values["curvature_6m"] == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("rate_hz", [*range(1, 16), 0.017, 0.3, 3.7, 7.5, 14.9, 60])

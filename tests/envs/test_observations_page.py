@@ -14,11 +14,11 @@ PAGE = (Path(__file__).parents[2] / "docs" / "observations.md").read_text(encodi
 
 
 def test_the_table_of_the_state_has_every_field_at_its_place():
-    told = {}
+    listed = {}
     for indices, names in re.findall(r"^\| ([\d, ]+) \| ((?:`\w[\w.]*`(?:, )?)+) \|", PAGE, re.M):
         for index, name in zip(indices.split(", "), names.split(", "), strict=True):
-            told[name.strip("`")] = int(index)
-    assert told == state.INDEX
+            listed[name.strip("`")] = int(index)
+    assert listed == state.INDEX
     assert f"float32 ({state.SIZE},)" in PAGE
     assert f"gap of {state.ABSENT_GAP:g} m" in PAGE
 
@@ -36,7 +36,7 @@ def test_the_numbers_of_the_sensors_are_those_of_the_settings():
 
 def test_every_key_of_an_info_is_explained():
     env = parallel_env(sensors=())
-    _, told = env.reset(seed=0)
+    _, infos = env.reset(seed=0)
     explained = set(re.findall(r"`(\w+)`", PAGE[PAGE.index("### What `info`") :]))
-    assert set(told["car_0"]) <= explained
+    assert set(infos["car_0"]) <= explained
     assert set(spaces.FLAGS) <= explained

@@ -79,7 +79,7 @@ def test_races_run_where_torch_was_never_loaded():
 
 def test_observations_lie_in_their_spaces_and_have_the_sensors_shapes():
     env = parallel_env(sensors=SMALL, privileged=True)
-    told, _ = env.reset(seed=0)
+    observations, _ = env.reset(seed=0)
     space = env.observation_space("car_0")
     assert {name: (box.shape, box.dtype) for name, box in space.items()} == {
         "stereo": ((2, 24, 32), np.uint8),
@@ -88,16 +88,16 @@ def test_observations_lie_in_their_spaces_and_have_the_sensors_shapes():
         "state": ((40,), np.float32),
     }
     for _ in range(20):
-        assert all(told[agent] in env.observation_space(agent) for agent in env.agents)
+        assert all(observations[agent] in env.observation_space(agent) for agent in env.agents)
         actions = {agent: env.action_space(agent).sample() for agent in env.agents}
-        told, *_ = env.step(actions)
+        observations, *_ = env.step(actions)
 
 
 def test_cars_may_carry_different_sensors():
     env = parallel_env(sensors={"car_1": ("lidar",), "car_0": None})
-    told, infos = env.reset(seed=0)
-    assert set(told["car_0"]) == {"motion"}
-    assert set(told["car_1"]) == {"lidar", "motion"}
+    observations, infos = env.reset(seed=0)
+    assert set(observations["car_0"]) == {"motion"}
+    assert set(observations["car_1"]) == {"lidar", "motion"}
     assert [infos["car_1"][f"{name}_rate_hz"] for name in ("motion", "lidar")] == [15.0, 10.0]
 
 
@@ -107,7 +107,7 @@ def test_a_sensor_faster_than_the_control_tells_its_effective_rate():
     assert infos["car_0"]["lidar_rate_hz"] == 15.0
 
 
-def test_what_was_told_is_never_overwritten():
+def test_observations_are_never_overwritten():
     env = parallel_env(sensors=SMALL)
     first, _ = env.reset(seed=0)
     kept = {name: values.copy() for name, values in first["car_0"].items()}
@@ -135,15 +135,15 @@ def test_two_environments_in_one_process_do_not_know_of_each_other(solver):
 
     one, noisy = (parallel_env(solver=solver, sensors=SMALL) for _ in "ab")
     noisy.reset(seed=7)
-    told = [one.reset(seed=4)]
+    steps = [one.reset(seed=4)]
     for number in range(15):
         noisy.step(straight_on(noisy, 1.0))
-        told.append(one.step(straight_on(one, 0.4)))
+        steps.append(one.step(straight_on(one, 0.4)))
         if number == 7:
             noisy.close()
             noisy = parallel_env(solver=solver, sensors=SMALL)
             noisy.reset(seed=1)
-    assert data_equivalence(told, expected, exact=True)
+    assert data_equivalence(steps, expected, exact=True)
 
 
 def test_without_a_seed_each_reset_brings_another_race_and_a_seed_brings_the_row_again():
@@ -165,10 +165,10 @@ def test_an_agent_that_finishes_leaves_and_never_comes_back_until_reset():
     gone: list[str] = []
     for _ in range(400):
         actions = {"car_0": steer(env, 0, 1.2), "car_1": steer(env, 1, 0.6)}
-        told, rewards, terminated, _, infos = env.step({a: actions[a] for a in env.agents})
-        assert set(told) == set(rewards) == set(infos)
+        observations, rewards, terminated, _, infos = env.step({a: actions[a] for a in env.agents})
+        assert set(observations) == set(rewards) == set(infos)
         assert not set(gone) & set(env.agents)
-        for agent in told:
+        for agent in observations:
             if terminated[agent]:
                 assert infos[agent]["finished"] and infos[agent]["laps"] == 1
                 assert infos[agent]["last_lap_s"] > 0
@@ -211,19 +211,21 @@ def test_in_training_a_mistake_ends_the_agents_episode_where_it_happened():
     env = parallel_env(sensors=(), solver="planar", mode="training", privileged=True)
     env.reset(seed=0)
     for _ in range(90):
-        told, _, terminated, _, infos = env.step({a: np.array([1.0, -0.2]) for a in env.agents})
+        observations, _, terminated, _, infos = env.step(
+            {a: np.array([1.0, -0.2]) for a in env.agents}
+        )
         if terminated["car_0"]:
             break
     assert terminated["car_0"] and "car_0" not in env.agents
-    # Still off the road, not restarted: the last thing told is of the end.
-    assert abs(told["car_0"]["state"][1]) > 0.38
+    # Still off the road, not restarted: the last observation is of the end.
+    assert abs(observations["car_0"]["state"][1]) > 0.38
     assert infos["car_0"]["off_track"]
 
 
 def test_the_global_state_tells_all_cars():
     env = parallel_env(num_cars=3, sensors=(), privileged=True, solver="planar")
-    told, _ = env.reset(seed=0)
-    parts = [told[agent]["state"] for agent in env.agents]
+    observations, _ = env.reset(seed=0)
+    parts = [observations[agent]["state"] for agent in env.agents]
     assert np.array_equal(env.state(), np.concatenate(parts))
 
 
@@ -235,8 +237,8 @@ def test_pictures_show_the_race_and_change_nothing(view):
     pictures = []
     for _ in range(8):
         pictures.append(shown.render())
-        told = [env.step(straight_on(env, 0.5)) for env in (shown, unseen)]
-        assert data_equivalence(*told, exact=True)
+        steps = [env.step(straight_on(env, 0.5)) for env in (shown, unseen)]
+        assert data_equivalence(*steps, exact=True)
     assert pictures[0].shape == (360, 640, 3) and pictures[0].dtype == np.uint8
     assert not np.array_equal(pictures[0], pictures[-1])
     red, green, blue = np.moveaxis(pictures[0], -1, 0)
@@ -283,10 +285,10 @@ def test_nothing_is_drawn_where_no_mode_was_chosen():
     ],
 )
 def test_wrong_words_at_the_door_bring_one_sentence(settings, sentence):
-    with pytest.raises(LeagueError, match=sentence) as told:
+    with pytest.raises(LeagueError, match=sentence) as raised:
         parallel_env(**settings)
-    assert isinstance(told.value, ConfigError | TrackError)
-    assert "\n" not in str(told.value)
+    assert isinstance(raised.value, ConfigError | TrackError)
+    assert "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "7", True])
@@ -304,8 +306,8 @@ def test_the_settings_of_the_world_can_be_given_and_the_words_win():
     assert env.race_env.cfg.sim.rules.laps == 7
 
 
-def test_the_live_viewer_is_told_of_every_race_on_one_clock(monkeypatch):
-    told: list[int] = []
+def test_the_live_viewer_gets_every_race_on_one_clock(monkeypatch):
+    shown_steps: list[int] = []
 
     class Viewer:
         address = "nowhere"
@@ -317,10 +319,10 @@ def test_the_live_viewer_is_told_of_every_race_on_one_clock(monkeypatch):
             return cls()
 
         def add(self, world):
-            told.append(int(world.worlds["step"][0]))
+            shown_steps.append(int(world.worlds["step"][0]))
 
         def close(self):
-            told.append(-1)
+            shown_steps.append(-1)
 
     monkeypatch.setattr("league.rerun_view.Live", Viewer)
     env = parallel_env(sensors=(), solver="planar", render_mode="human")
@@ -331,7 +333,7 @@ def test_the_live_viewer_is_told_of_every_race_on_one_clock(monkeypatch):
         assert env.render() is None
     env.close()
     env.close()
-    assert told == [0, 1, 2, 3, 4, 5, -1]
+    assert shown_steps == [0, 1, 2, 3, 4, 5, -1]
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

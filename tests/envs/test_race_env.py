@@ -82,8 +82,8 @@ def test_followers_of_the_centre_finish_their_laps(race_env, solver, num_worlds)
     sim = SimConfig(rules=RaceRules(laps=1))
     env = race_env(sim=sim, solver=solver, num_worlds=num_worlds)
     env.reset(seed=1)
-    told = drive(env, 130)
-    assert bool(told.terminated.all())
+    result = drive(env, 130)
+    assert bool(result.terminated.all())
     assert env.world.cars["laps"].tolist() == [[1]] * num_worlds
     # 12 m at 1.5 m/s, a little to get there, and a little less on the inside.
     assert 7.7 < float(env.world.cars["finish_s"][0, 0]) < 8.5
@@ -98,15 +98,15 @@ def test_car_that_leaves_the_road_stands_for_thirty_steps_and_drives_on(race_env
     env.reset(seed=1)
     straight_on = np.array([[[0.0, 0.5]]])  # off the outside of the ring
     for _ in range(60):
-        told = env.step(straight_on)
-        if told.verdicts["off_track"].item():
+        result = env.step(straight_on)
+        if result.verdicts["off_track"].item():
             break
     stood_at = (env.world.cars["x"].item(), env.world.cars["y"].item())
     for step in range(1, 31):
-        told = env.step(straight_on)
+        result = env.step(straight_on)
         if step < 30:
             assert (env.world.cars["x"].item(), env.world.cars["y"].item()) == stood_at
-        assert told.verdicts["released"].item() == (step == 30)
+        assert result.verdicts["released"].item() == (step == 30)
     assert env.world.cars["lateral"].item() == pytest.approx(-0.2, abs=1e-3)
     moved = env.world.cars["distance"].item()
     env.step(straight_on)
@@ -172,8 +172,8 @@ def test_bot_that_runs_into_a_slow_car_stands_two_seconds(race_env, solver):
     env.reset(seed=1)
     mistakes, hits = 0, 0
     for _ in range(20):
-        told = drive(env, 1, speed=0.1)
-        mistakes += told.verdicts["mistake"].item()
+        result = drive(env, 1, speed=0.1)
+        mistakes += result.verdicts["mistake"].item()
         hits += env.world.cars["touching_obstacles"].item()
         if hits:
             break
@@ -230,23 +230,23 @@ def test_lap_in_training_is_complete_where_the_episode_began(race_env):
     env.reset(seed=4)
     began = env.world.cars["s"].item()
     assert began > 1.0
-    steps, told = 1, drive(env, 1)
-    while not told.verdicts["finished"].item() and steps < 200:
-        steps, told = steps + 1, drive(env, 1)
+    steps, result = 1, drive(env, 1)
+    while not result.verdicts["finished"].item() and steps < 200:
+        steps, result = steps + 1, drive(env, 1)
     assert env.world.cars["distance"].item() == 0.0  # a new episode
     assert abs(steps - 12 / 1.5 * 15) < 12
-    assert bool(told.terminated)
+    assert bool(result.terminated)
 
 
 # What is shared, and what is not.
 
 
 def trajectory(env: RaceEnv, steps: int = 35) -> list:
-    """Return all that is told and all that is, step by step."""
+    """Return worlds, observations and rewards, step by step."""
     seen = []
     for step in range(steps):
-        told = env.step(wild(env, step))
-        seen.append((env.world.copy(), taken(told.observations), told.rewards.copy()))
+        result = env.step(wild(env, step))
+        seen.append((env.world.copy(), taken(result.observations), result.rewards.copy()))
     return seen
 
 
@@ -357,11 +357,11 @@ def test_settings_that_contradict_each_other_are_refused(settings):
         EnvConfig(sim=SimConfig(), **settings)
 
 
-def test_rewards_that_weigh_nothing_are_not_told(race_env):
+def test_rewards_that_weigh_nothing_are_not_logged(race_env):
     env = race_env(reward=RewardConfig(progress=2.0, off_track=0.0, crash=0.0))
-    told = drive(env, 5)
-    assert list(told.log) == ["progress"]
-    assert np.array_equal(told.rewards, told.verdicts["advance"] * np.float32(2.0))
+    result = drive(env, 5)
+    assert list(result.log) == ["progress"]
+    assert np.array_equal(result.rewards, result.verdicts["advance"] * np.float32(2.0))
 
 
 @pytest.mark.parametrize("index", [[0, 1], [-1, 0], [0]])

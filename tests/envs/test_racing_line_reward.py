@@ -32,17 +32,17 @@ def of_the_ring():
 
 
 def paid(tracks, reward, aside, speed, track=0):
-    """Return what two cars earn for 0.1 m at these places beside the centreline."""
+    """Return what two cars earn for 0.1 m at these distances from the centreline."""
     start, end = ([(3.0 + way, aside), (5.0 + way, -0.3)] for way in (0.0, 0.1))
     before = put_cars(tracks, TWO, start, num_worlds=2)
     before.worlds["track"] = track
     after = go_to(tracks, before, end, speed=speed)
     verdicts, after = Stages(tracks, TWO).judge(before, after)
-    told = tracks, before, after, np.zeros((2, 2, 2), np.float32), verdicts
-    total, terms = reward(*told)
+    inputs = tracks, before, after, np.zeros((2, 2, 2), np.float32), verdicts
+    total, terms = reward(*inputs)
     assert list(terms) == list(reward.terms)
     assert np.allclose(total, sum(terms.values()))
-    earned, _ = BuiltIn(rewards.preset("progress"))(*told)
+    earned, _ = BuiltIn(rewards.preset("progress"))(*inputs)
     assert np.allclose(total - terms["racing_line"], earned, atol=1e-6)
     return terms["racing_line"]
 
@@ -76,7 +76,7 @@ def test_who_drives_the_wrong_way_or_stands_is_not_paid(of_the_ring):
     assert terms["racing_line"].tolist() == [[0.0, 0.0]]
 
 
-def test_each_world_is_told_the_line_of_its_own_track():
+def test_each_world_has_the_line_of_its_own_track():
     tracks = TrackSet(make_ring(points=400), make_ring(clockwise=True))
     small = 0.025 / math.sin(math.pi / 240)
     reward = RacingLineReward(tracks, CAR)

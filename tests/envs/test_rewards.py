@@ -81,7 +81,7 @@ def test_a_band_of_the_centerline_includes_its_end(ring, lateral, reward):
         ("contact", [(3.0, 0.1), (3.3, 0.1)], [(3.1, 0.1), (3.4, 0.1)], ((0, 1),), [0, 1]),
         ("touch", [(3.0, 0.1), (3.3, 0.1)], [(3.1, 0.1), (3.4, 0.1)], ((0, 1),), [1, 0]),
         ("overtake", [(3.0, 0.2), (3.1, -0.2)], [(3.3, 0.2), (3.1, -0.2)], (), [1, -1]),
-        # Nobody is near a car 1.6 m ahead, and across the start line 0.4 m is near.
+        # No car is near a car 1.6 m ahead, and across the start line 0.4 m is near.
         ("gain", [(3.0, 0.2), (4.4, -0.2)], [(3.25, 0.2), (4.85, -0.2)], (), [0, 0]),
     ],
 )

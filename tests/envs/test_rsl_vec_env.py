@@ -20,7 +20,7 @@ SMALL = SensorConfig(camera=CameraConfig(width=32, height=24), lidar=LidarConfig
 
 
 class Follower:
-    """Follows the centreline and remembers what it was told to forget."""
+    """Follows the centreline and remembers which rows were reset."""
 
     def __init__(self, name: str = "follower", sensors: SensorConfig | None = None) -> None:
         self.name, self.sensors = name, sensors or SensorConfig()
@@ -118,7 +118,7 @@ def test_groups_have_the_shapes_of_the_sensors_and_pictures_are_shares_of_white(
     assert torch.allclose(in_bytes, in_bytes.round(), atol=1e-4)
 
 
-def test_a_row_that_restarts_is_told_no_action_of_its_past():
+def test_a_row_that_restarts_observes_no_action_of_its_past():
     env = build(2, sensors=SensorConfig())
     env.step(torch.full((2, 2), 0.5))
     env.episode_length_buf = torch.tensor([59, 0])  # 4 s are 60 steps
@@ -141,7 +141,7 @@ def test_a_mistake_is_no_time_out():
     assert float(rewards[0]) < -0.5
 
 
-def test_opponents_drive_and_are_told_when_their_car_starts_anew():
+def test_opponents_drive_and_are_reset_when_their_car_restarts():
     follower = Follower()
     env = build(2, cars=2, opponents={1: follower}, sensors=SensorConfig())
     assert follower.forgotten == [None]

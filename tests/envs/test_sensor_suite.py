@@ -30,14 +30,16 @@ def carried(camera_hz: float = 15.0, lidar_hz: float = 10.0) -> SensorConfig:
 
 
 def news(env: RaceEnv, name: str, steps: int, car: int = 0) -> list[list[bool]]:
-    """Drive on and return for each step in which worlds this sensor told something new."""
-    seen, told = [], taken(env.reset(seed=3))
+    """Drive on and return for each step in which worlds this sensor read something new."""
+    seen, observed = [], taken(env.reset(seed=3))
     for _ in range(steps):
-        actions = np.stack([follow_center(group) for group in told], axis=1)
+        actions = np.stack([follow_center(group) for group in observed], axis=1)
         following = taken(env.step(actions).observations)
-        changed = (following[car][name] != told[car][name]).reshape(env.num_worlds, -1).any(axis=1)
+        changed = (
+            (following[car][name] != observed[car][name]).reshape(env.num_worlds, -1).any(axis=1)
+        )
         seen.append(changed.tolist())
-        told = following
+        observed = following
     return seen
 
 
@@ -51,8 +53,8 @@ def test_sensor_is_due_as_often_as_its_rate_in_a_second(rate_hz, fresh):
 
 
 def test_sensor_at_7_5_hz_is_due_on_every_second_step():
-    told = observations.due(7.5, 15, np.arange(0, 9)).tolist()
-    assert told[1:] == [False, True] * 4
+    due = observations.due(7.5, 15, np.arange(0, 9)).tolist()
+    assert due[1:] == [False, True] * 4
 
 
 @pytest.mark.parametrize("rate_hz", [0.01, 0.3, 1.0, 3.7, 7.5, 10.0, 14.9])
@@ -87,24 +89,24 @@ def test_cars_of_one_race_carry_what_each_one_asks_for(race_env):
     assert second["lidar"].shape == (2, 8)
 
 
-def test_restarted_car_is_told_fresh_readings_at_once_while_others_keep_theirs(race_env):
+def test_restarted_car_has_fresh_readings_at_once_while_others_keep_theirs(race_env):
     # Sensors at 1 Hz: all that is new between two seconds is what a restart brought.
     env = race_env(
         sim=TWO, num_worlds=3, mode="training", sensors=(carried(camera_hz=1.0, lidar_hz=1.0),)
     )
-    told = taken(env.reset(seed=2))
+    observed = taken(env.reset(seed=2))
     restarts = 0
     for _ in range(14):
-        actions = np.stack([follow_center(group) for group in told], axis=1)
+        actions = np.stack([follow_center(group) for group in observed], axis=1)
         actions[1, 0] = np.array([0.6, 1.0])  # off the road before long
         step = env.step(actions)
         following = taken(step.observations)
         for car in range(2):
             for name in ("stereo", "lidar"):
-                changed = (following[car][name] != told[car][name]).reshape(3, -1).any(axis=1)
+                changed = (following[car][name] != observed[car][name]).reshape(3, -1).any(axis=1)
                 assert changed.tolist() == step.terminated[:, car].tolist()
         restarts += int(step.terminated.sum())
-        told = following
+        observed = following
     assert restarts >= 1
 
 
@@ -130,13 +132,13 @@ def test_car_that_was_put_back_in_a_race_sees_where_it_is_now(race_env, who):
     if who == "crashed":
         sim = SimConfig(kind="obstacle_avoidance", obstacles=things)
     env = race_env(sim=sim, sensors=(carried(camera_hz=0.01, lidar_hz=0.01),))
-    told = taken(env.reset(seed=2))[0]
+    observed = taken(env.reset(seed=2))[0]
     for _ in range(80):
         step = env.step(np.array([[[0.0, 0.0]]]))
-        new = bool((step.observations[0]["stereo"] != told["stereo"]).any())
+        new = bool((step.observations[0]["stereo"] != observed["stereo"]).any())
         moved = bool(step.verdicts["crashed"] | step.verdicts["released"])
         assert new == moved
-        told = taken(step.observations)[0]
+        observed = taken(step.observations)[0]
         if moved:
             break
     assert moved

@@ -102,7 +102,7 @@ def check_rows_are_apart(make: Callable[[], VecEnv], rows_per_world: int) -> Non
         assert step != 5 or (two[2][0] and not one[2][0]), "row 0 was not restarted"
         for name in one[0].keys():  # noqa: SIM118
             assert torch.equal(one[0][name][others], two[0][name][others]), (
-                f"the restart of row 0 changed what other rows are told in {name}"
+                f"the restart of row 0 changed what other rows observe in {name}"
             )
         assert torch.equal(one[1][others], two[1][others]), "and their rewards"
         assert torch.equal(one[2][others], two[2][others]), "and their dones"

@@ -78,7 +78,7 @@ def covered(ratings: Ratings, strengths) -> np.ndarray:
 
 
 class Season:
-    """A league whose races are drawn from known strengths."""
+    """A league with races drawn from known strengths."""
 
     def __init__(self, generator, strengths):
         self.generator, self.strengths = generator, strengths

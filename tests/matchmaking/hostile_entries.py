@@ -81,7 +81,7 @@ HOSTILE = {
     "a card with lone surrogates": joined(
         {**HEADER, "__metadata__": {"card": '"\ud800"'}}, NUMBERS
     ),
-    "a card whose network is too large": with_card(
+    "a card with too large a network": with_card(
         network={**json.loads(HEADER["__metadata__"]["card"])["network"], "hidden": [1024] * 9}
     ),
     "10^12 numbers": changed(shape=HUGE, data_offsets=[0, 4 * 10**12]),
@@ -94,7 +94,7 @@ HOSTILE = {
     "two weights on the same numbers": changed(
         data_offsets=HEADER["mlp.2.weight"]["data_offsets"]
     ),
-    "a weight told as a text": joined({**HEADER, "mlp.0.weight": "F32"}, NUMBERS),
+    "a weight given as a text": joined({**HEADER, "mlp.0.weight": "F32"}, NUMBERS),
     "a weight too few": joined({k: v for k, v in HEADER.items() if k != "mlp.2.bias"}, NUMBERS),
     "a weight of another name": joined(
         {("evil" if k == "mlp.2.bias" else k): v for k, v in HEADER.items()}, NUMBERS

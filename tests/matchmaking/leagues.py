@@ -54,7 +54,7 @@ def founded(url: str, *, entries: int = 4, **settings) -> store.Store:
 
 
 def rated(url: str, *, entries: int = 4) -> store.Store:
-    """Return a new league whose entries are in a rated state, without a race."""
+    """Return a new league with entries in a rated state, without a race."""
     league = founded(url, entries=entries)
     for state in ("validating", "placement"):
         league.move({entry.id: state for entry in league.entries()})
@@ -71,7 +71,7 @@ def events(league: store.Store) -> list[sa.Row]:
 
 
 def change(url: str, *statements: str, **values: object) -> None:
-    """Change a league past the program, as somebody with the database may."""
+    """Change a league past the program, as anyone with the database may."""
     database = Database(url)
     with database.writing() as connection:
         for statement in statements:
@@ -118,7 +118,7 @@ def raced(claims: Sequence[store.HeatRecord]) -> list[store.HeatOutcome]:
     return [
         store.HeatOutcome(
             claim.heat.key,
-            tuple(race(*told) for told in zip(claim.seeds, claim.heat.halves, strict=True)),
+            tuple(race(*half) for half in zip(claim.seeds, claim.heat.halves, strict=True)),
         )
         for claim in claims
     ]

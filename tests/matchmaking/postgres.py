@@ -32,7 +32,7 @@ def binaries() -> Path | None:
 
 @contextmanager
 def server(*, durable: bool = False) -> Iterator[Server]:
-    """Start a server and stop it again; as another user when we are root, whom it refuses.
+    """Start a server and stop it again; as another user when we are root, which it refuses.
 
     Args:
         durable: write through to the disk, for measurements; tests need not.
@@ -108,10 +108,10 @@ def _serve(programs: Path, folder: Path, who: dict[str, Any], durable: bool) -> 
         "unix_socket_directories": folder,
         "fsync": "on" if durable else "off",
     }
-    told = [part for name, value in settings.items() for part in ("-c", f"{name}={value}")]
+    options = [part for name, value in settings.items() for part in ("-c", f"{name}={value}")]
     with (folder / "log").open("wb") as log:
         running = subprocess.Popen(
-            [programs / "postgres", "-D", files, *told], stdout=log, stderr=log, **quiet
+            [programs / "postgres", "-D", files, *options], stdout=log, stderr=log, **quiet
         )
     started = Server(port)
     try:

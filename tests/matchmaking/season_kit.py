@@ -1,4 +1,4 @@
-"""Small leagues whose races take a moment: planar physics, stopped after a second."""
+"""Small leagues with races of a moment: planar physics, stopped after a second."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from league.matchmaking.loop import HeatSource
 
 SHORT = Ruleset(solver="planar", laps=1, max_time_s=0.6)
-"""Nine steps: enough for scripted drivers to be told apart by distance."""
+"""Nine steps: enough for scripted drivers to differ in distance."""
 
 
 def new_league(

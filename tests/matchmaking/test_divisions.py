@@ -80,7 +80,7 @@ def test_the_top_division_asks_for_safety_with_a_margin():
     now, why = after(current, ratings, {1: safe(1.65)})
     assert now == {"a": 2, "b": 1, "c": 1, "d": 2}
     assert why == {"a": "safety", "c": "place"}
-    # Back only from 2.0 on; one of whom little is known may enter.
+    # Back only from 2.0 on; one of which little is known may enter.
     current = {1: 2, 2: 1, 3: 1, 4: 2}
     assert after(current, ratings, {1: safe(1.95)})[1] == {}
     assert after(current, ratings, {1: safe(2.0)})[0]["a"] == 1

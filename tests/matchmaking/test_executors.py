@@ -26,7 +26,7 @@ ENDLESS = replace(SHORT, laps=1000, max_time_s=36_000.0)
 
 
 LARGE = b"x" * 1_000_000
-"""Weights that no pipe takes up before somebody reads."""
+"""Weights that no pipe takes up before it is read."""
 
 
 @pytest.fixture
@@ -132,7 +132,7 @@ def test_where_no_worker_can_start_the_run_ends_with_a_sentence(job, monkeypatch
 
 
 def _cannot_start(pipe: object) -> None:
-    """Stand for a worker whose libraries cannot be loaded."""
+    """Stand for a worker that cannot load its libraries."""
     os._exit(3)
 
 

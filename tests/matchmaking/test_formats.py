@@ -19,7 +19,7 @@ TRACKS = ("reinvent_2018", "peanut", "comet", "anvil")
 
 
 class Known(Here):
-    """Workers whose races go as the entries' names say: e2 beats e1, but its laps are slower."""
+    """Workers that decide races by the entries' names: e2 beats e1, but its laps are slower."""
 
     def __init__(self, store: Store) -> None:
         super().__init__()

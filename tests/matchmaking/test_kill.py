@@ -26,7 +26,7 @@ from tests.matchmaking.season_kit import SHORT, new_league, submitted
 LEAGUE = [sys.executable, "-m", "league.cli"]
 SETTINGS = ["--lease-s", "3", "--workers", "2", "--plain"]
 RULES = replace(SHORT, max_time_s=0.3)
-"""Five steps: the shortest race whose cars are told apart."""
+"""Five steps: the shortest race in which cars differ."""
 LONG = replace(SHORT, laps=3, max_time_s=20.0)
 """A cup's heat of these takes long enough to be met by a kill."""
 ENTRANTS = 8

@@ -207,7 +207,7 @@ def test_a_newcomer_is_asked_where_answers_are_most_informative(monkeypatch):
         monkeypatch.setattr(schedule, share, value)
     heats = plan([*equals, new], heats=1)
     heats += plan([*equals, new], counts=round_robin([*equals, new]) | {(13, 99): 4}, heats=1)
-    # 11 is less sure, 12 and 14 are far away; after four heats 13 has told what it can.
+    # 11 is less sure, 12 and 14 are far away; after four heats 13 has shown what it can.
     assert set(heats[0].grid) <= {99, 10, 13} and set(heats[1].grid) == {99, 10}
 
 
@@ -292,7 +292,7 @@ def test_a_newcomer_is_rated_within_54_duels():
     assert np.median(races) <= 54
 
 
-def test_a_dense_field_is_told_apart_after_40_races_each():
+def test_a_dense_field_is_sorted_after_40_races_each():
     squares, inside = zip(*[dense_field(seed) for seed in range(6)], strict=True)
     assert np.sqrt(np.mean(squares)) <= 58  # 55 over many seasons (benchmarks); six scatter
     assert np.mean(inside) >= 0.90

@@ -238,8 +238,8 @@ def test_learned_prior_is_the_root_of_the_likelihood_by_a_written_out_matrix(noi
     natural = math.log(10) / 400
     precision = np.full(22, 1 / (rated.prior_sd * natural) ** 2)
     precision[20:] = 2 / (300 * natural) ** 2
-    told_by_races = (turns * (chance * (1 - chance))[:, None]).T @ turns
-    inverse = np.linalg.inv(told_by_races + np.diag(precision))[:20, :20]
+    of_races = (turns * (chance * (1 - chance))[:, None]).T @ turns
+    inverse = np.linalg.inv(of_races + np.diag(precision))[:20, :20]
     square = (((rated.elo - 1000) * natural) ** 2).mean() + inverse.diagonal().mean()
     pull = 2 * (math.log(rated.prior_sd**2) - math.log(300**2)) / (2 * math.log(3)) ** 2
     assert 20 * square * precision[0] == pytest.approx(20 + pull, rel=1e-6)
@@ -484,7 +484,7 @@ def test_a_large_field_of_which_three_have_raced_has_finite_intervals(duels_each
     races += duels(*[(1, 2, k % 2) for k in range(duels_each)], heat=duels_each)
     large, small = (fit(results_of(races), entries=range(size)) for size in (1501, 30))
     assert np.isfinite(large.sd).all() and np.isfinite(large.high95).all()
-    # However many have never raced, they blur nobody who has.
+    # However many have never raced, they blur none that have.
     assert large.sd[1] == pytest.approx(small.sd[1], rel=0.1)
 
 

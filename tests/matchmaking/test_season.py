@@ -74,7 +74,7 @@ def test_anchors_need_no_validation_and_the_first_is_1000(url):
 def test_a_newcomer_races_itself_and_an_anchor_before_it_is_paired(url):
     with grown(url, 1) as store:
         planner = Matchmaker(store)
-        assert planner.plan() == 2  # nobody else to pair
+        assert planner.plan() == 2  # none else to pair
         own, anchor = (record.heat for record in store.heats())
         assert own.purpose == anchor.purpose == "validation"
         ids = {entry.name: entry.id for entry in store.entries()}
@@ -207,7 +207,7 @@ def test_entries_climb_from_placement_to_ranked_as_they_become_sure(url):
 
 
 class Fickle(Coin):
-    """Workers whose races end another way each time."""
+    """Workers that end races another way each time."""
 
     count = 0
 
@@ -270,7 +270,7 @@ def test_after_its_first_round_a_league_is_connected_to_the_pinned_anchor(url):
 
 
 class Drivers(Coin):
-    """Workers whose races tell laps: the front car drives one in 11 s, the other none."""
+    """Workers that report laps: the front car drives one in 11 s, the other none."""
 
     def wait(self, timeout_s: float) -> list[HeatReport]:
         order = [

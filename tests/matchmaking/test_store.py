@@ -148,7 +148,7 @@ def test_a_database_of_something_else_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "sentence"),
     [
         ("sqlite://", "names no file"),
         ("sqlite:///:memory:", "names no file"),
@@ -157,8 +157,8 @@ def test_a_database_of_something_else_is_refused(tmp_path):
         ("sqlite:////", "is a folder|cannot be opened"),
     ],
 )
-def test_an_address_that_is_none_is_refused(given, told):
-    with pytest.raises(StoreError, match=told):
+def test_an_address_that_is_none_is_refused(given, sentence):
+    with pytest.raises(StoreError, match=sentence):
         store.create(given)
 
 
@@ -325,7 +325,7 @@ def test_a_failure_reported_after_the_lease_was_lost_takes_nothing_from_the_next
 
 
 @pytest.mark.parametrize(
-    ("heat", "told"),
+    ("heat", "sentence"),
     [
         (lambda ids: Heat("0" * 64, (Half("ring", ids),)), "which this league does not have"),
         (
@@ -340,9 +340,9 @@ def test_a_failure_reported_after_the_lease_was_lost_takes_nothing_from_the_next
         ),
     ],
 )
-def test_a_heat_that_cannot_be_raced_here_is_refused_and_none_is_planned(league, heat, told):
+def test_a_heat_that_cannot_be_raced_here_is_refused_and_none_is_planned(league, heat, sentence):
     ids = tuple(entry.id for entry in league.entries()[:2])
-    with pytest.raises(StoreError, match=told):
+    with pytest.raises(StoreError, match=sentence):
         league.plan([*leagues.duels(league, 2), heat(ids)])
     assert league.counts() == {}
 
@@ -421,14 +421,16 @@ def test_an_audit_that_agrees_changes_nothing_and_one_that_differs_voids_the_hea
 
 
 @pytest.mark.parametrize(
-    ("places", "told"),
+    ("places", "sentence"),
     [((1, 2, 3), "give all places of all its races"), ((0, 1), "count places from 1")],
 )
-def test_places_that_cannot_be_are_refused_and_nothing_of_the_call_is_kept(league, places, told):
+def test_places_that_cannot_be_are_refused_and_nothing_of_the_call_is_kept(
+    league, places, sentence
+):
     league.plan(leagues.duels(league, 2))
     good, bad = leagues.raced(league.claim("w", 2))
     wrong = store.RaceOutcome(places, {})
-    with pytest.raises(StoreError, match=told):
+    with pytest.raises(StoreError, match=sentence):
         league.complete("w", [good, store.HeatOutcome(bad.key, (wrong, wrong))])
     assert league.counts() == {"claimed": 2}
     assert len(league.races().heat) == 0
@@ -445,11 +447,11 @@ def test_a_result_with_a_number_that_is_none_is_refused(league):
 def test_a_result_comes_back_as_it_was_given_with_its_recording(league):
     league.plan(leagues.duels(league, 1))
     (claim,) = league.claim("w", 1)
-    told = {"winner": "e1 – ümlaut", "laps_s": [1.25, 0.1], "best": None}
-    races = (store.RaceOutcome((1, 1), told, b"replay"), store.RaceOutcome((2, 1), told))
+    result = {"winner": "e1 – ümlaut", "laps_s": [1.25, 0.1], "best": None}
+    races = (store.RaceOutcome((1, 1), result, b"replay"), store.RaceOutcome((2, 1), result))
     league.complete("w", [store.HeatOutcome(claim.heat.key, races)])
     first, second = league.results(claim.number)
-    assert (first.places, first.result, first.worker) == ((1, 1), told, "w")
+    assert (first.places, first.result, first.worker) == ((1, 1), result, "w")
     assert first.replay is not None
     assert league.blobs.get(first.replay) == b"replay"
     assert second.replay is None
@@ -546,10 +548,10 @@ def test_every_deed_is_in_the_diary(league, clock):
     league.fail("w", claim.heat.key, "broken")
     league.complete("w", leagues.raced(league.claim("w", 1)))
     league.move({league.entries()[0].id: "retired"}, actor="owner 1")
-    told = [(event.actor, event.action) for event in leagues.events(league)]
-    assert told[0] == ("league", "found")
-    assert told[1:5] == [(f"owner {n}", "submit") for n in (1, 2, 3, 4)]
-    assert told[5:] == [
+    actions = [(event.actor, event.action) for event in leagues.events(league)]
+    assert actions[0] == ("league", "found")
+    assert actions[1:5] == [(f"owner {n}", "submit") for n in (1, 2, 3, 4)]
+    assert actions[5:] == [
         ("league", "plan"), ("w", "claim"), ("league", "reap"), ("w", "claim"), ("w", "fail"),
         ("w", "claim"), ("w", "complete"), ("owner 1", "retired"),
     ]  # fmt: skip

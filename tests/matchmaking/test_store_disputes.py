@@ -49,8 +49,8 @@ def test_a_dispute_is_settled_by_a_third_worker_who_agrees_with_one(league, righ
     races = league.races()
     assert races.heat.tolist() == [claim.number] * 2
     assert races.places.tolist() == [list(race.places) for race in truth.races]
-    told = {(r.worker, r.rejected) for r in league.results(claim.number)}
-    assert told == {("honest", right == "liar"), ("liar", right == "honest")}
+    verdicts = {(r.worker, r.rejected) for r in league.results(claim.number)}
+    assert verdicts == {("honest", right == "liar"), ("liar", right == "honest")}
     assert [e.subject for e in leagues.events(league) if e.action == "settle"] == [
         str(claim.number)
     ]
@@ -99,8 +99,8 @@ def test_races_tell_who_finished_and_the_best_laps(league):
         {"car": 1, "finished": True, "lap_times_s": [12.5, 11.2345]},
         {"car": 0, "finished": False, "lap_times_s": []},
     ]
-    told = tuple(store.RaceOutcome((2, 1), {"order": order}) for _ in first.seeds)
-    league.complete("w", [store.HeatOutcome(first.heat.key, told), _outcome(second)])
+    outcome = tuple(store.RaceOutcome((2, 1), {"order": order}) for _ in first.seeds)
+    league.complete("w", [store.HeatOutcome(first.heat.key, outcome), _outcome(second)])
     races = league.races()
     # 2^31 known, 2^30 finished, 11.2345 s are 11,234 ms (half to even); leagues.race tells nothing.
     assert races.runs.tolist()[:2] == [[2**31, 2**31 + 2**30 + 11234]] * 2
@@ -114,8 +114,8 @@ def test_a_league_of_the_first_version_is_brought_up_to_date_with_its_races(url)
         claims = league.claim("w", 2)
         order = [{"car": 0, "finished": True, "lap_times_s": [9.5]}]
         for claim in claims:
-            told = tuple(store.RaceOutcome((1, 2), {"order": order}) for _ in claim.seeds)
-            league.complete("w", [store.HeatOutcome(claim.heat.key, told)])
+            outcome = tuple(store.RaceOutcome((1, 2), {"order": order}) for _ in claim.seeds)
+            league.complete("w", [store.HeatOutcome(claim.heat.key, outcome)])
         new = league.races()
     leagues.change(
         url,

@@ -188,7 +188,7 @@ def test_a_driver_is_either_weights_or_a_script(league, tmp_path):
         assert other.submit("anchor", "league", scripted="centerline").kind == "scripted"
 
 
-def test_entries_of_one_beginning_are_told_apart_by_more_digits(league):
+def test_entries_of_one_beginning_get_more_digits(league):
     with league._writing() as change:
         for number, id in ((1, "abcdef0" + "0" * 57), (2, "abcdef1" + "0" * 57)):
             own = schema.entries.c.number == number
@@ -265,8 +265,8 @@ def test_races_of_an_entry_are_found_among_earlier_and_later_ones(cars):
 
 
 def _driven(**row):
-    told = {"car": 0, "distance": 12.345, "lap_times_s": [9.5, 9.25], **row}
-    text = race_table.driven({"order": [told]}, 1)
+    car = {"car": 0, "distance": 12.345, "lap_times_s": [9.5, 9.25], **row}
+    text = race_table.driven({"order": [car]}, 1)
     return np.frombuffer(bytes.fromhex(text), race_table.DRIVEN).tolist() if text else []
 
 
@@ -286,9 +286,9 @@ def test_drives_are_of_rated_races_and_races_are_unless_all_are_asked_for(league
     ids = tuple(entry.id for entry in league.entries()[:2])
     check = Heat(leagues.RULES.hash, (Half("ring", ids),), purpose="validation")
     league.plan([*leagues.duels(league, 1), check])
-    told = {"order": [{"car": k, "distance": 1.0 + k, "lap_times_s": []} for k in (0, 1)]}
+    result = {"order": [{"car": k, "distance": 1.0 + k, "lap_times_s": []} for k in (0, 1)]}
     for claim in league.claim("w", 2):
-        races = (store.RaceOutcome((1, 2), told),) * len(claim.heat.halves)
+        races = (store.RaceOutcome((1, 2), result),) * len(claim.heat.halves)
         league.complete("w", [store.HeatOutcome(claim.heat.key, races)])
     assert len(league.drives(leagues.RULES.hash).entry) == 4  # two races of two cars
     assert len(league.races().heat) == 2 and len(league.races(rated=None).heat) == 3

@@ -1,4 +1,4 @@
-"""Keys: the same heat has one key on every machine, and a seed nobody can guess."""
+"""Keys: the same heat has one key on every machine, and a seed that cannot be guessed."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def test_canonical_json_refuses_numbers_that_are_none():
 def test_key_of_a_heat_is_the_hash_of_all_that_it_is():
     # Written out by hand: this text, and so every stored key, must never change.
     halves = f'[{{"grid":["{A}","{B}"],"track":"ring"}},{{"grid":["{B}","{A}"],"track":"square"}}]'
-    told = f'{{"audits":"","draw":7,"halves":{halves},"purpose":"rated","ruleset":"{"r" * 64}"}}'
-    assert HEAT.key == hashlib.sha256(told.encode()).hexdigest()
+    text = f'{{"audits":"","draw":7,"halves":{halves},"purpose":"rated","ruleset":"{"r" * 64}"}}'
+    assert HEAT.key == hashlib.sha256(text.encode()).hexdigest()
 
 
 @pytest.mark.parametrize(
@@ -58,8 +58,8 @@ def test_key_is_not_remembered_from_the_heat_it_was_made_of():
 
 
 def test_seed_is_the_hmac_of_key_and_race_under_the_secret():
-    told = hmac.new(b"secret", f"{HEAT.key}/1".encode(), "sha256").digest()
-    assert heat_spec.seed(b"secret", HEAT.key, 1) == int.from_bytes(told[:8], "big") // 2
+    digest = hmac.new(b"secret", f"{HEAT.key}/1".encode(), "sha256").digest()
+    assert heat_spec.seed(b"secret", HEAT.key, 1) == int.from_bytes(digest[:8], "big") // 2
     assert HEAT.seeds(b"secret") == tuple(heat_spec.seed(b"secret", HEAT.key, n) for n in (0, 1))
 
 

@@ -115,9 +115,9 @@ def test_a_store_is_not_used_across_a_fork(tmp_path):
         "os.wait()\n"
         "print(league.counts())\n"
     )
-    told = _run(program, str(tmp_path / "league.db"))
-    assert "open the league again in each process" in told
-    assert told.endswith("{}\n")
+    printed = _run(program, str(tmp_path / "league.db"))
+    assert "open the league again in each process" in printed
+    assert printed.endswith("{}\n")
 
 
 WRITER = """
@@ -144,12 +144,12 @@ def test_power_cut_at_any_moment_leaves_a_league_that_goes_on(tmp_path, torn):
     writer = _start(WRITER, str(path))
     try:
         assert writer.stdout is not None
-        told = [writer.stdout.readline()]
+        lines = [writer.stdout.readline()]
         for number in range(12):
             time.sleep(copies.uniform(0.005, 0.05))
             writer.send_signal(signal.SIGSTOP)
             _wait_until_stopped(writer.pid)
-            told += _lines_so_far(writer)
+            lines += _lines_so_far(writer)
             copy = tmp_path / f"copy{number}" / "league.db"
             copy.parent.mkdir()
             for end in ("", "-wal"):
@@ -160,7 +160,7 @@ def test_power_cut_at_any_moment_leaves_a_league_that_goes_on(tmp_path, torn):
             if torn and wal.exists():
                 length = wal.stat().st_size
                 os.truncate(wal, max(0, length - copies.randrange(1, 5000)))
-            acknowledged = {key for line in told[1:] for key in line.split()}
+            acknowledged = {key for line in lines[1:] for key in line.split()}
             _goes_on(copy, set() if torn else acknowledged)
             if writer.poll() is not None:
                 break  # all is raced: later copies would be the same
@@ -215,7 +215,7 @@ def test_a_disk_that_takes_no_more_bytes_corrupts_nothing(tmp_path):
     path = tmp_path / "league.db"
     with leagues.founded(str(path)) as league:
         league.plan(leagues.duels(league, 200))
-    told = _run(
+    printed = _run(
         "import resource, signal, sys, leagues\n"
         "from league.errors import StoreError\n"
         "from league.matchmaking import store\n"
@@ -230,7 +230,7 @@ def test_a_disk_that_takes_no_more_bytes_corrupts_nothing(tmp_path):
         "    print(league.counts().get('done', 0))\n",
         str(path),
     )
-    sentence, done = told.splitlines()
+    sentence, done = printed.splitlines()
     assert "check the disk and its free space; nothing was changed" in sentence
     _sound(path)
     with store.Store(str(path)) as league:
@@ -272,7 +272,7 @@ def test_a_database_that_does_not_exist_is_reported_in_a_sentence(postgres_serve
 
 
 @pytest.mark.parametrize(
-    ("said", "told"),
+    ("said", "sentence"),
     [
         ('FATAL:  database "a" does not exist', "does not exist: make it"),
         ('FATAL:  permission denied for database "a"', "refuses this user"),
@@ -284,8 +284,8 @@ def test_a_database_that_does_not_exist_is_reported_in_a_sentence(postgres_serve
         ('FATAL:  database "a" is not currently accepting connections', "cannot be reached"),
     ],
 )
-def test_a_refused_connection_is_explained_by_its_cause(said, told):
-    assert told in database._sentence(ConnectionError(f"connection failed: {said}"))
+def test_a_refused_connection_is_explained_by_its_cause(said, sentence):
+    assert sentence in database._sentence(ConnectionError(f"connection failed: {said}"))
 
 
 def _bulky(claims, size=2000):
@@ -318,9 +318,9 @@ def _start(program, *arguments):
 
 def _run(program, *arguments):
     running = _start(program, *arguments)
-    told, _ = running.communicate(timeout=120)
+    printed, _ = running.communicate(timeout=120)
     assert running.returncode == 0
-    return told
+    return printed
 
 
 def _wait_until_stopped(pid):
@@ -336,6 +336,6 @@ def _wait_until_stopped(pid):
 
 
 def _lines_so_far(writer):
-    """Return what the stopped writer has told: no more is coming."""
+    """Return what the stopped writer has printed: no more is coming."""
     os.set_blocking(writer.stdout.fileno(), False)
     return list(writer.stdout)

@@ -146,7 +146,7 @@ def test_an_owner_makes_so_many_submissions_within_24_hours(league, clock):
 
 @pytest.fixture
 def raced(url):
-    """Return a league whose heats a worker of owner 1 has raced but for the last two."""
+    """Return a league in which a worker of owner 1 has raced all heats but two."""
     with leagues.founded(url) as league:
         for owner in ("owner 1", "owner 1", "lender"):
             league.tokens.create(owner, ("worker",))

@@ -143,11 +143,11 @@ def test_what_goes_wrong_in_a_job_is_reported_with_its_traceback(league):
     assert "Traceback" in report.traceback and "atlantis" in report.traceback
 
 
-def car(slot: int, **told) -> CarResult:
+def car(slot: int, **fields) -> CarResult:
     counts = dict.fromkeys(
         ("off_tracks", "crashes", "contacts_taken", "immobilised", "reversed", "overtakes"), 0
     )
-    given = {"finished": True, "laps": 3, "total_s": 20.0, "distance": 60.0, **told}
+    given = {"finished": True, "laps": 3, "total_s": 20.0, "distance": 60.0, **fields}
     return CarResult(
         car=slot, name="x", place=1, lap_times_s=(), penalty_s=0.0, **{**counts, **given}
     )
@@ -186,7 +186,7 @@ def test_of_two_that_failed_at_the_same_place_the_one_that_lasted_longer_is_ahea
         for slot, when, count in ((0, 2.0, 25.0), (1, 3.0, 25.0), (0, 1.0, 3.0))
     )
     assert places(result(car(0, **out), car(1, **out), events=faults)) == (2, 1)
-    # A car whose faults were forgiven drove to the end.
+    # A car with forgiven faults drove to the end.
     forgiven = (Event(time_s=1.0, kind="driver_fault", car=0, value=3.0), faults[1])
     assert places(result(car(0, **out), car(1, **out), events=forgiven)) == (1, 2)
     assert places(result(car(0, **out), car(1, **out))) == (1, 1)
@@ -219,7 +219,7 @@ def test_a_dispatcher_hands_in_what_its_workers_raced(league):
 
 
 class Suspended(Here):
-    """Workers whose machine sleeps, longer than a lease, while they race their first job."""
+    """Workers on a machine that sleeps, longer than a lease, while they race their first job."""
 
     def __init__(self, num_workers: int) -> None:
         super().__init__(num_workers)
@@ -311,7 +311,7 @@ def test_a_heat_of_another_physics_is_not_raced(league, monkeypatch):
 
 
 class HereUntilFull(Here):
-    """Workers at whose end no file may grow any more: the limit stands for the disk.
+    """Workers that end when no file may grow any more: the limit stands for the disk.
 
     Python ignores the signal that comes with it, so a write fails as on a full disk.
     """
@@ -355,13 +355,13 @@ def test_a_full_postgresql_is_reported_and_the_heat_is_raced_again_when_there_is
     url = new_postgres()
     with new_league(url) as store, psycopg.connect(url, autocommit=True) as server:
         _one_heat(store)
-        told = len(leagues.events(store))
+        before = len(leagues.events(store))
         server.execute(FULL)
         sentence = "cannot grow, the server's disk is full: free some space; nothing was changed$"
         with pytest.raises(StoreError, match=sentence):
             Dispatcher(store, Here(), lease_s=0.05).step(0.0)
         assert store.counts() == {"claimed": 1} and not len(store.races().heat)
-        assert [event.action for event in leagues.events(store)[told:]] == ["claim"]
+        assert [event.action for event in leagues.events(store)[before:]] == ["claim"]
         server.execute("DROP TRIGGER full_disk ON results")
         _raced_by_another(store)
 

@@ -15,7 +15,7 @@ FOCAL = 80 / math.tan(1.13 / 2)
 
 
 def room(*, half: float = 6.0) -> TrackSet:
-    """A ring whose walls stand `half` metres from the middle of the world, on each side."""
+    """A ring with walls that stand `half` metres from the middle of the world, on each side."""
     turn = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     out = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     border = half - 0.84

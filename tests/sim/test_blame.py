@@ -280,7 +280,7 @@ def test_box_costs_all_however_lightly_it_is_touched(ring):
 
 
 def test_a_bot_exactly_beside_is_not_run_into(straight):
-    # Half way along 10 m; who runs into whom is told by who is ahead.
+    # Half way along 10 m; the car behind runs into the car ahead.
     things = ObstacleConfig(kind="bot", places=((0.5, 1.0),), lane_change=False)
     tracks, sim = straight(), SimConfig(kind="head_to_head", num_cars=2, obstacles=things)
     for place, crashed in ((5.0, False), (4.99, True)):

@@ -19,7 +19,7 @@ from tests.scenes import assert_same
 from tests.sim.lone import ROOM, WALL, Floor, settings
 
 SAG = 9.81 / (2 * math.pi * CarConfig().ride_hz) ** 2
-"""How far a spring is compressed at rest [m]: a wheel whose place rises by more hangs free."""
+"""How far a spring is compressed at rest [m]: a wheel that rises by more hangs free."""
 HALF_BASE, HALF_TRACK = 0.082, 0.08
 MOTION = list(records.CAR.names or ())[:13]
 
@@ -380,7 +380,7 @@ def test_same_start_gives_the_same_bits_here_and_in_a_fresh_process():
     again = Floor(settings(2)).put(y=[0.0, 0.2], velocity_x=[3.0, 3.5], roll=[0.1, 0.0])
     assert_same(again.drive(40, [0.3, -0.3], [3.0, 4.0]), seen)
     paths = repr([path for path in sys.path if path])
-    told = [
+    outputs = [
         subprocess.run(
             [sys.executable, "-c", f"import sys; sys.path[:0] = {paths}\n" + DIGEST],
             capture_output=True,
@@ -390,7 +390,7 @@ def test_same_start_gives_the_same_bits_here_and_in_a_fresh_process():
         for _ in range(2)
     ]
     here = hashlib.sha256(seen["x"].tobytes() + seen["roll"].tobytes()).hexdigest()
-    assert told[0] == told[1] == f"True {here}\n"
+    assert outputs[0] == outputs[1] == f"True {here}\n"
 
 
 @pytest.mark.parametrize(
@@ -403,9 +403,9 @@ def test_walls_stand_round_a_room_wherever_it_lies(yaw, stops):
     floor.solver = BulletSolver(floor.sim, np.array([[103.0, 38.0, 111.0, 42.0]]), 1)
     along = "x" if yaw in (0.0, math.pi) else "y"
     # Where the walls along the way end, and far from the middle, too.
-    for beside in (0.15, 0.5, 0.85):
+    for across in (0.15, 0.5, 0.85):
         floor.put(velocity_x=0.0, velocity_y=0.0, yaw=yaw, yaw_rate=0.0, roll=0.0, pitch=0.0, z=0.0)
-        floor.put(x=103.0 + 8.0 * beside, y=38.0 + 4.0 * beside)
+        floor.put(x=103.0 + 8.0 * across, y=38.0 + 4.0 * across)
         floor.put(**{along: stops - 0.3 * math.copysign(1.0, math.cos(yaw) + math.sin(yaw))})
         floor.drive(15, speed=1.0)
         assert floor.notes["wall"].any()

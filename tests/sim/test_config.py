@@ -104,7 +104,7 @@ def test_numbers_may_be_numpys(number):
         (SimConfig, {"num_cars": 2}, "a time_trial race has 2 cars: it is driven alone"),
     ],
 )
-def test_what_is_refused_is_told_with_what_was_expected(made, settings, sentence):
+def test_a_refusal_says_what_was_expected(made, settings, sentence):
     assert sentence in refused(made, **settings)
 
 

@@ -49,7 +49,7 @@ def sim_of(scene: dict) -> config.SimConfig:
 
 
 def begun(name: str, tracks: TrackSet, sim: config.SimConfig) -> tuple[RaceEnv, np.ndarray]:
-    """Return an environment whose cars begin as recorded, and the recorded moments."""
+    """Return an environment with cars that begin as recorded, and the recorded moments."""
     start, seen = MOTION[f"{name}.start"], MOTION[f"{name}.seen"]
     seeds = MOTION[f"{name}.seeds"] if f"{name}.seeds" in MOTION else np.arange(1, len(start) + 1)
     env = RaceEnv(tracks, EnvConfig(sim=sim), num_worlds=len(start))

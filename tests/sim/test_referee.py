@@ -64,7 +64,7 @@ def cars_that(flags: np.ndarray) -> list[int]:
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize(("beyond", "off"), [(0.079, False), (0.081, True)])
 def test_off_track_begins_when_the_last_wheel_has_left(straight, num_worlds, side, beyond, off):
-    # Border 0.4 m from the centre, wheels 0.08 m beside the middle of the car.
+    # Border 0.4 m from the centre, wheels 0.08 m from the middle of the car.
     tracks = straight()
     before = put_cars(tracks, ALONE, [(3.0, side * 0.4)], num_worlds=num_worlds)
     verdict, world = judged(tracks, ALONE, before, [(3.1, side * (0.4 + beyond))])
@@ -234,7 +234,7 @@ def test_crashed_car_is_moved_behind_on_the_other_lane_first_and_then_frozen(rin
 
 
 def test_crashed_car_is_never_put_forward(ring):
-    # A box whose middle lies 1.2 m ahead: one metre behind it would be 0.2 m forward.
+    # A box with its middle 1.2 m ahead: one metre behind it would be 0.2 m forward.
     tracks, sim = ring(), with_obstacles(place=0.5)
     before = put_cars(tracks, sim, [(4.79, 0.0)])
     verdict, world = raced(tracks, sim, before, [(4.8, 0.0)], touch(before, obstacles=((0, 0),)))
@@ -412,8 +412,8 @@ def test_lap_time_is_interpolated_within_the_step(ring, num_worlds):
     verdict, world = judged(tracks, ALONE, before, [(12.02, 0.0)])
     assert verdict["lap"].all()
     crossing = (149 + 0.75) / 15
-    for told in (world.cars["last_lap_s"], world.cars["best_lap_s"], world.cars["lap_start_s"]):
-        assert told[0, 0].item() == pytest.approx(crossing, abs=1e-3)
+    for times in (world.cars["last_lap_s"], world.cars["best_lap_s"], world.cars["lap_start_s"]):
+        assert times[0, 0].item() == pytest.approx(crossing, abs=1e-3)
 
 
 def test_race_is_finished_with_the_last_lap_and_not_before(ring):
@@ -556,7 +556,7 @@ def test_in_training_a_pass_is_what_happens_on_the_road(ring):
     begin_at(world.cars, [5.0, 2.0])
     verdict, world = judged(tracks, sim, world, [(8.3, 0.1), (8.11, -0.1)])
     assert passes(verdict) == [[0, 1]]
-    # Half a lap later ahead turns into behind, but nobody has passed.
+    # Half a lap later ahead turns into behind, but no car has passed.
     far = put_cars(tracks, sim, [(8.0, 0.1), (2.1, -0.1)])
     begin_at(far.cars, [5.0, 2.0])
     verdict, _ = judged(tracks, sim, far, [(8.2, 0.1), (2.1, -0.1)])

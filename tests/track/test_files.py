@@ -13,7 +13,7 @@ from tests.track import shapes
 
 SHARED = Path(__file__).parents[3] / "shared" / "tracks"
 GOOD = shapes.text([[0, 0], [4, 0], [4, 3], [0, 3]])
-TOLD = "[0, 0], [4, 0], [4, 3], [0, 3]"
+WAYPOINTS = "[0, 0], [4, 0], [4, 3], [0, 3]"
 
 
 def _refusal(text: str) -> str:
@@ -127,7 +127,7 @@ def test_a_corner_tighter_than_half_the_road_is_clipped_without_crossing():
 
 
 def test_waypoints_are_kept_as_given():
-    track = files.parse(GOOD + f"waypoints: [{TOLD}, [0, 0]]\n")
+    track = files.parse(GOOD + f"waypoints: [{WAYPOINTS}, [0, 0]]\n")
     assert track.waypoints.tolist() == [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]]
     assert files.parse(GOOD).waypoints is None
 
@@ -136,9 +136,9 @@ def test_waypoints_are_written_only_where_there_are_some():
     read = files.read(GOOD, "my.yaml")
     assert "waypoints" not in files.write(read)
     # 1e-05 is a text to YAML, and 1.0e-05 the number.
-    told = [[1e-05, -2.5e-16], [4.0, 0.1 + 0.2], [1e-05, -2.5e-16]]
-    text = files.write(read.model_copy(update={"waypoints": told}))
-    assert files.read(text, "my.yaml").waypoints == told
+    waypoints = [[1e-05, -2.5e-16], [4.0, 0.1 + 0.2], [1e-05, -2.5e-16]]
+    text = files.write(read.model_copy(update={"waypoints": waypoints}))
+    assert files.read(text, "my.yaml").waypoints == waypoints
 
 
 def test_waypoints_may_begin_anywhere_on_the_lap():
@@ -157,7 +157,7 @@ def test_waypoints_that_step_back_a_little_are_held():
 
 
 def test_dumped_and_read_again_a_reversed_track_keeps_its_waypoints():
-    track = files.parse(GOOD + f"waypoints: [{TOLD}, [0, 0]]\n")
+    track = files.parse(GOOD + f"waypoints: [{WAYPOINTS}, [0, 0]]\n")
     again = files.parse(files.dump(track.reversed()))
     assert again.waypoints.tolist() == [[0, 0], [0, 3], [4, 3], [4, 0], [0, 0]]
 
@@ -239,7 +239,7 @@ BROKEN = {
         ["waypoints[2] is out of order"],
     ),
     "waypoints that do not close": (
-        GOOD + f"waypoints: [{TOLD}]\n",
+        GOOD + f"waypoints: [{WAYPOINTS}]\n",
         ["waypoints", "on a loop", "repeat"],
     ),
     "one waypoint": (GOOD + "waypoints: [[0, 0]]\n", ["line 7", "waypoints", "2 to 2001"]),

@@ -62,8 +62,8 @@ def _sources() -> list[str]:
         "points:\n  - [0, 0]\n  - [2, 0]\n  - [4, 0.5]\n"
         "left: [[-1, 0.5], [2, 0.5], [5, 1.3]]\nright: [[-1, -0.5], [2, -0.5], [5, 0.2]]\n"
     )
-    told = straight + "waypoints: [[0, 0], [2, 0], [2, 0], [4, 0.5]]\n"
-    return [*(files.load(name).text for name in names), straight, straight, told]
+    retraced = straight + "waypoints: [[0, 0], [2, 0], [2, 0], [4, 0.5]]\n"
+    return [*(files.load(name).text for name in names), straight, straight, retraced]
 
 
 def _mutated(text: str, generator: np.random.Generator) -> str:

@@ -157,7 +157,7 @@ def test_waypoints_of_the_largest_array_fit_into_a_track_file(tmp_path):
     assert np.array_equal(files.parse(track.text).waypoints, track.waypoints)
 
 
-def test_waypoints_in_single_precision_are_told_in_double(tmp_path):
+def test_waypoints_in_single_precision_are_written_in_double(tmp_path):
     rows = _rows().astype(np.float32)
     rows[-1] = rows[0]
     track = importer.read_npy(_write(tmp_path / "single.npy", rows))

@@ -189,10 +189,10 @@ def test_reversed_place_is_a_lap_less_the_place_and_on_the_other_side():
 
 def test_reversed_track_has_its_waypoints_in_the_other_order():
     # Quarters of a circle of 2 m from a quarter beyond the start line on, the second one twice.
-    told = [[0, 2], [-2, 0], [-2, 0], [0, -2], [2, 0], [0, 2]]
-    track = files.parse(shapes.text(shapes.circle_points()) + f"waypoints: {told}\n")
+    waypoints = [[0, 2], [-2, 0], [-2, 0], [0, -2], [2, 0], [0, 2]]
+    track = files.parse(shapes.text(shapes.circle_points()) + f"waypoints: {waypoints}\n")
     back = track.reversed()
-    assert back.waypoints.tolist() == told[::-1]
+    assert back.waypoints.tolist() == waypoints[::-1]
     quarter = np.pi
     np.testing.assert_allclose(
         shapes.waypoint_places(track), np.array([1, 2, 2, 3, 4, 5]) * quarter, atol=2e-3
@@ -200,12 +200,12 @@ def test_reversed_track_has_its_waypoints_in_the_other_order():
     np.testing.assert_allclose(
         shapes.waypoint_places(back), np.array([3, 4, 5, 6, 6, 7]) * quarter, atol=2e-3
     )
-    assert track.reversed().reversed().waypoints.tolist() == told
+    assert track.reversed().reversed().waypoints.tolist() == waypoints
 
 
 def test_mirrored_track_turns_the_other_way_and_keeps_its_order():
-    told = [[0, 2], [-2, 0], [0, -2], [2, 0], [0, 2]]
-    track = files.parse(shapes.text(shapes.circle_points()) + f"waypoints: {told}\n")
+    waypoints = [[0, 2], [-2, 0], [0, -2], [2, 0], [0, 2]]
+    track = files.parse(shapes.text(shapes.circle_points()) + f"waypoints: {waypoints}\n")
     other = track.mirrored()
     assert (track.direction, other.direction) == ("counter-clockwise", "clockwise")
     np.testing.assert_allclose(other.curvature, -track.curvature, atol=1e-9)

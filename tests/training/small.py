@@ -20,7 +20,7 @@ SAMPLES = 32
 
 
 def train(**changes) -> TrainConfig:
-    """Return settings of a learner that is told its own motion and nothing else."""
+    """Return settings of a learner that observes its own motion and nothing else."""
     base = TrainConfig(
         num_worlds=4,
         action_space=ContinuousActions(-30.0, 30.0, 0.5, 1.0),
@@ -65,7 +65,7 @@ def equal(one: Path, other: Path) -> bool:
 
 
 class CallbackRecorder:
-    """Counts what it is told; may do something after an update."""
+    """Counts the updates it gets; may do something after an update."""
 
     def __init__(self, after=None) -> None:
         self.updates, self.evaluations, self.closed = [], [], 0

@@ -45,13 +45,13 @@ def learner() -> Learner:
 
 
 def with_teacher() -> TaughtLearner:
-    """Return a learner whose tutor has three of four updates."""
+    """Return a learner with a teacher that has three of four updates."""
     tracks = make_env.track_set(make_env.load_tracks(("generated:8",)), both_directions=False)
     return make_taught(tracks, replace(settings(), teacher=0.6))
 
 
 def taught(folder: Path) -> dict[str, list[str]]:
-    """Return what tutor and policy come to, and what they do if they go on from half the way."""
+    """Return what teacher and policy come to, and what they do if they go on from half the way."""
     made = with_teacher()
     for number in range(UPDATES):
         made.update(number / UPDATES if distributed.is_first() else 0.9)
@@ -92,11 +92,11 @@ def rank(folder: Path) -> dict[str, object]:
     found["draw"] = float(torch.rand(1))
     for number in range(UPDATES):
         # The ranks have different clocks.
-        told = made.update(number / UPDATES if distributed.is_first() else 0.9)
+        row = made.update(number / UPDATES if distributed.is_first() else 0.9)
         if number == 1:
             found["places at the save point"] = places(made)
             made.save(folder / f"state{distributed.number()}.pt", {})
-    found["rate"], found["samples"] = told.learning_rate, told.samples
+    found["rate"], found["samples"] = row.learning_rate, row.samples
     found["learnt"], found["scale"] = digest(made), asdict(made._normalization.seen)
     found["counted"] = int(made._alg.critic.obs_normalizer.count)  # pyright: ignore
     later = learner()
@@ -125,7 +125,7 @@ def rank(folder: Path) -> dict[str, object]:
 
 
 def _stopped(by: int) -> bool:
-    """Return whether this rank stops where it asks, and not before, if the second one is told."""
+    """Return whether this rank stops where it asks, and not before, if the second one is asked."""
     with distributed.interrupted_together() as place:
         place()
         if distributed.number() == 1:
@@ -220,7 +220,7 @@ def test_ctrl_c_or_sigterm_in_one_rank_stops_all_at_the_same_place(two):
     assert [one["stopped"] for one in two] == [[True, True], [True, True]]
 
 
-def test_only_a_rank_that_has_gone_is_told_of_as_such():
+def test_only_a_rank_that_has_gone_is_reported_as_such():
     with pytest.raises(LeagueError, match="another process of this run"), distributed.exchange():
         raise RuntimeError("[gloo/transport/tcp/pair.cc:538] Connection closed by peer")
     with pytest.raises(RuntimeError, match="size mismatch"), distributed.exchange():
@@ -229,8 +229,8 @@ def test_only_a_rank_that_has_gone_is_told_of_as_such():
 
 def started(monkeypatch, *, rank: int = 0, world: int = 2) -> None:
     """Pretend that torchrun has started this process, on one machine."""
-    told = {"RANK": rank, "LOCAL_RANK": rank, "WORLD_SIZE": world, "LOCAL_WORLD_SIZE": world}
-    for name, value in told.items():
+    variables = {"RANK": rank, "LOCAL_RANK": rank, "WORLD_SIZE": world, "LOCAL_WORLD_SIZE": world}
+    for name, value in variables.items():
         monkeypatch.setenv(name, str(value))
 
 
@@ -266,7 +266,7 @@ def test_each_rank_takes_a_card_and_a_seed_of_its_own(monkeypatch):
     assert all(0 <= seed < 2**62 for seed in seeds)
 
 
-def test_rsl_rl_is_told_of_its_ranks(monkeypatch):
+def test_rsl_rl_gets_its_ranks(monkeypatch):
     started(monkeypatch, rank=1)
     assert distributed.rsl_rl_settings() == {"global_rank": 1, "local_rank": 1, "world_size": 2}
     assert not distributed.is_first()

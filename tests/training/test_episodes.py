@@ -21,7 +21,7 @@ def step(
     )
 
 
-def test_nothing_is_told_before_an_episode_has_ended():
+def test_nothing_is_reported_before_an_episode_has_ended():
     episodes = EpisodeStatistics(2)
     step(episodes, [0.1, 0.2])
     assert episodes.completion is None
@@ -69,7 +69,7 @@ def test_without_cuts_the_mean_is_the_plain_one():
 
 def test_an_episode_that_was_cut_off_would_have_come_at_least_so_far():
     # One ends at 0.5, one was cut at 0.6, one comes round: the share that comes so far is 1 up to
-    # 0.5 and 2/3 beyond, where nobody fails any more: 0.5 + 2/3 x 0.5 = 5/6.
+    # 0.5 and 2/3 beyond, where none fails any more: 0.5 + 2/3 x 0.5 = 5/6.
     found = [Episode(0.5, 0.0, 1), Episode(0.6, 0.0, 1, cut=True), Episode(1.0, 0.0, 1)]
     assert mean_completion(found) == pytest.approx(5 / 6)
     # Cut before anyone fails, it says nothing: 0.5 and 1 alone, 0.75.

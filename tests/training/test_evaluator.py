@@ -25,13 +25,13 @@ TWO = EvalConfig(tracks=(files.load("reinvent_2018"), files.load("peanut")), lap
 
 
 def test_judgement_is_the_same_inline_and_in_a_process_beside():
-    inline, beside = Evaluator(ONE, background=False), Evaluator(ONE)
+    inline, background = Evaluator(ONE, background=False), Evaluator(ONE)
     try:
-        for one in (inline, beside):
+        for one in (inline, background):
             one.submit(7, untrained())
-        (here,), (there,) = inline.take(), beside.take(wait=True)
+        (here,), (there,) = inline.take(), background.take(wait=True)
     finally:
-        beside.close()
+        background.close()
     assert here.number == there.number == 7
     assert here.evaluation == there.evaluation == evaluate_policy(ONE, untrained())
     assert not here.evaluation.all_complete
@@ -97,7 +97,7 @@ def test_judge_against_opponents_tells_one_place_for_each_run():
     assert len(found.places) == 1 and found.places[0] in (1, 2)
 
 
-def test_death_of_the_process_is_told_in_one_sentence():
+def test_death_of_the_process_gets_one_sentence():
     one = Evaluator(ONE)
     try:
         one.submit(1, untrained())
@@ -107,12 +107,12 @@ def test_death_of_the_process_is_told_in_one_sentence():
         process.join(10.0)
         with pytest.raises(PolicyError, match="the process that evaluates has died: see whether"):
             one.take(wait=True)
-        assert one.take() == []  # told once
+        assert one.take() == []  # reported once
     finally:
         one.close()
 
 
-def test_judge_that_can_be_told_nothing_says_why(monkeypatch):
+def test_judge_that_takes_no_orders_says_why(monkeypatch):
     one = Evaluator(EvalConfig(tracks=ONE.tracks, opponents=("nobody",)))
     try:
         one.submit(1, untrained())
@@ -134,7 +134,7 @@ def test_judge_that_takes_too_long_is_given_up(monkeypatch):
 
 
 def test_program_ends_although_policies_are_still_waiting(tmp_path):
-    # More than a pipe holds: an order that nobody reads must not keep the learner from ending.
+    # More than a pipe holds: an order that is not read must not keep the learner from ending.
     (tmp_path / "policy.pickle").write_bytes(pickle.dumps(untrained(CAMERA)))
     script = tmp_path / "leave.py"
     script.write_text(

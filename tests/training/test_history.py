@@ -175,7 +175,7 @@ def test_a_row_that_lacks_something_is_refused(tmp_path, name):
         history.read(path)
 
 
-def test_a_missing_file_is_told(tmp_path):
+def test_a_missing_file_is_reported(tmp_path):
     with pytest.raises(PolicyError, match="cannot be read"):
         history.read(tmp_path / "none.jsonl")
 

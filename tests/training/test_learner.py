@@ -66,7 +66,7 @@ def test_a_resumed_run_ends_as_one_that_was_never_interrupted(
     cfg = settings(space=space, normalise=normalise, save_every=save_every)
     whole = learner(cfg)
     for number in range(4):
-        told = whole.update(number / 4)
+        row = whole.update(number / 4)
         if number == 1:
             assert whole.at_save_point
             whole.save(tmp_path / "state.pt", {"spent_s": 3.0, "best": [1.0, 2.0]})
@@ -77,8 +77,8 @@ def test_a_resumed_run_ends_as_one_that_was_never_interrupted(
     for number in (2, 3):
         again = later.update(number / 4)
     assert same(everything(whole), everything(later))
-    assert (again.reward, again.losses, again.log) == (told.reward, told.losses, told.log)
-    assert again.samples == told.samples == 128
+    assert (again.reward, again.losses, again.log) == (row.reward, row.losses, row.log)
+    assert again.samples == row.samples == 128
 
 
 def test_weights_are_averaged_over_a_tenth_of_the_updates(tmp_path):
@@ -115,8 +115,8 @@ def test_saving_does_not_change_what_is_learnt(tmp_path, save_every):
 def test_a_choice_from_a_list_is_learnt():
     made = learner(space=CHOICES, sensors=SensorConfig(lidar=LIDAR), symmetry=False)
     before = made.weights()
-    told = made.update(0.0)
-    assert told.losses["entropy"] > 0
+    row = made.update(0.0)
+    assert row.losses["entropy"] > 0
     assert not same(before, made.weights())
     obs = made.env.get_observations()
     with torch.no_grad():
@@ -141,17 +141,17 @@ def test_a_forgiven_mistake_costs_its_price_alone(bootstrap):
 
     def mistaken(actions):
         """Pay 0 for a mistake of each row, none of which the clock has cut off."""
-        told, rewards, dones, extras = step(actions)
+        observations, rewards, dones, extras = step(actions)
         never = torch.zeros_like(extras["time_outs"])
         ones = torch.ones_like(dones)
-        return told, torch.zeros_like(rewards), ones, extras | {"time_outs": never}
+        return observations, torch.zeros_like(rewards), ones, extras | {"time_outs": never}
 
     made.env.step = mistaken
     made._schedule(0.0)
     made._collect()
     gamma = made.cfg.ppo.gamma if bootstrap else 0.0
     assert first.values.abs().sum() > 0
-    # What is told as reward is the price, 0, and what would have been earned from there.
+    # The reward is the price, 0, and what would have been earned from there.
     assert torch.allclose(first.rewards, gamma * first.values)
 
 
@@ -328,11 +328,11 @@ def test_the_cpu_computes():
 
 def test_an_update_tells_what_charts_of_rsl_rl_show():
     made = learner(settings().with_ppo(learning_rate=(1e-3, 1e-5), noise=(0.9, 0.1)))
-    told = made.update(0.5)
+    row = made.update(0.5)
     # Half way down a geometric fall: sqrt(1e-3 x 1e-5) and sqrt(0.9 x 0.1).
-    assert told.learning_rate == pytest.approx(1e-4)
-    assert told.mean_std == pytest.approx(0.3)
-    assert told.episode_steps == made._episodes.steps
+    assert row.learning_rate == pytest.approx(1e-4)
+    assert row.mean_std == pytest.approx(0.3)
+    assert row.episode_steps == made._episodes.steps
 
 
 def test_an_update_tells_completion_in_percent():
@@ -340,26 +340,26 @@ def test_an_update_tells_completion_in_percent():
     assert made.update(0.0).completion is None
     rows = made.env.num_envs
     made._episodes.add(torch.full((rows,), 5.0), torch.ones(rows), torch.full((rows,), 0.3))
-    told = made.update(0.0)
+    row = made.update(0.0)
     assert made._episodes.completion is not None
-    assert told.completion == 100.0 * made._episodes.completion > 20.0
-    assert told.earned == made._episodes.earned is not None
+    assert row.completion == 100.0 * made._episodes.completion > 20.0
+    assert row.earned == made._episodes.earned is not None
 
 
 def test_chances_of_choices_tell_their_spread():
-    told = learner(space=CHOICES).update(0.0)
+    row = learner(space=CHOICES).update(0.0)
     # Four choices of nearly equal chance: sqrt(1/4 x 3/4) = 0.433.
-    assert told.mean_std == pytest.approx(0.433, abs=0.03)
+    assert row.mean_std == pytest.approx(0.433, abs=0.03)
 
 
 def test_an_update_tells_what_it_brought():
     made = learner(num_worlds=6)
-    told = made.update(0.0)
-    assert (told.number, told.samples) == (1, 48)  # 6 worlds x 8 steps
-    assert {"value", "surrogate", "entropy"} <= told.losses.keys()
-    assert "/drive/speed" in told.log
-    paid = sum(value for name, value in told.log.items() if name.startswith("/reward/"))
-    assert told.reward == pytest.approx(paid, abs=1e-5)
+    row = made.update(0.0)
+    assert (row.number, row.samples) == (1, 48)  # 6 worlds x 8 steps
+    assert {"value", "surrogate", "entropy"} <= row.losses.keys()
+    assert "/drive/speed" in row.log
+    paid = sum(value for name, value in row.log.items() if name.startswith("/reward/"))
+    assert row.reward == pytest.approx(paid, abs=1e-5)
 
 
 def test_weights_taken_out_are_copies():

@@ -153,7 +153,7 @@ def test_obstacles_are_shown_where_they_stand(tmp_path):
     shown(tmp_path / "a.rrd", env, 30, 1 / 15)
     rows = rows_of(tmp_path / "a.rrd")
     assert layout.car(1) not in rows
-    # They stand, and are drawn anew with an episode.
+    # They stand, and are drawn again with an episode.
     moves = sum(not np.array_equal(one, other) for one, other in pairwise(places))
     assert moves < 5
     for index in range(4):

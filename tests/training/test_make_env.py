@@ -31,12 +31,12 @@ def test_more_random_tracks_contain_the_fewer():
     "name",
     ["generated:", "generated:0", "generated:-1", "generated:2001", "generated:x", "generated:1.5"],
 )
-def test_wrong_number_of_random_tracks_is_told_in_one_sentence(name):
+def test_wrong_number_of_random_tracks_gets_one_sentence(name):
     with pytest.raises(ConfigError, match="give generated:1 to generated:2000"):
         make_env.load_tracks([name])
 
 
-def test_no_track_and_unknown_track_are_told():
+def test_no_track_and_unknown_track_are_refused():
     with pytest.raises(ConfigError, match="no track was named: give --track NAME"):
         make_env.load_tracks([])
     with pytest.raises(TrackError, match="there is no track 'peanutt'; nearest: peanut"):

@@ -106,9 +106,9 @@ def test_an_untaught_actor_asks_for_much_the_same_whatever_it_sees(space):
     cfg = TrainConfig(sensors=SensorConfig(), network=NetworkConfig(), action_space=space)
     settings = actor_settings(cfg)
     settings.pop("class_name")
-    told = TensorDict({"motion": 3.0 * torch.randn(64, 4)}, batch_size=64)
-    actor = MLPModel(told, {"actor": ["motion"]}, "actor", space.size, **settings)
-    answers = actor(told).detach()
+    observations = TensorDict({"motion": 3.0 * torch.randn(64, 4)}, batch_size=64)
+    actor = MLPModel(observations, {"actor": ["motion"]}, "actor", space.size, **settings)
+    answers = actor(observations).detach()
     assert 0.0 < float(answers.abs().max()) < 0.05
 
 
@@ -116,9 +116,9 @@ def test_a_network_sees_the_same_in_bytes_as_in_shares_of_one():
     torch.manual_seed(1)
     layers = NetworkConfig(channels=(4,), kernels=(3,), strides=(2,), hidden=(8,))
     bytes_ = torch.randint(0, 256, (3, 2, 12, 16), dtype=torch.uint8)
-    told = TensorDict({"stereo": bytes_, "motion": torch.rand(3, 5)}, [3])
+    observations = TensorDict({"stereo": bytes_, "motion": torch.rand(3, 5)}, [3])
     model = ByteCNNModel(
-        told,
+        observations,
         {"actor": ["stereo", "motion"]},
         "actor",
         2,
@@ -126,12 +126,12 @@ def test_a_network_sees_the_same_in_bytes_as_in_shares_of_one():
         activation="elu",
         cnn_cfg={"output_channels": [4], "kernel_size": [3], "stride": [2], "activation": "elu"},
     )
-    floats = told.clone()
+    floats = observations.clone()
     floats["stereo"] = bytes_.to(torch.float32) / 255.0
-    assert torch.equal(model(told), model(floats))
+    assert torch.equal(model(observations), model(floats))
     brighter = floats.clone()
     brighter["stereo"] = floats["stereo"] * 0.5
-    assert not torch.equal(model(told), model(brighter))
+    assert not torch.equal(model(observations), model(brighter))
 
 
 def collected(kind: type[RolloutStorage]) -> RolloutStorage:

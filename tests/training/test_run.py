@@ -183,7 +183,7 @@ def test_two_runs_do_not_learn_in_one_folder(tmp_path):
     )
     assert outcome.samples == 4 * small.SAMPLES
     again = small.run(tmp_path, small.cfg(6))
-    again.resume()  # nobody learns there any more
+    again.resume()  # nothing learns there any more
     again.close()
 
 
@@ -214,7 +214,7 @@ def test_run_ends_after_evaluations_with_every_lap_complete(tmp_path, monkeypatc
 def late(run: Run, number: int) -> small.CallbackRecorder:
     """Have what the judge is handed judged only after an update; return who says so."""
     kept, hand = [], run._evaluator.submit
-    run._evaluator.submit = lambda *told: kept.append(told)
+    run._evaluator.submit = lambda *given: kept.append(given)
 
     def after(update) -> None:
         if update.number == number:
@@ -387,7 +387,7 @@ def test_reward_function_that_raises_at_once_leaves_no_checkpoint(tmp_path):
     [
         ({}, "centerline"),
         ({"sensors": small.CAMERA}, "centerline"),
-        # Killed while it learns from its tutor, and while the tutor learns.
+        # Killed while it learns from its teacher, and while the teacher learns.
         ({"sensors": small.CAMERA, "teacher": 0.3}, "centerline"),
         ({"sensors": small.CAMERA, "teacher": 0.6}, "racing_line"),
         ({"teacher": 0.3, "action_space": CHOICES}, str(EXAMPLES / "reward_centerline.py")),
@@ -416,15 +416,15 @@ def test_resumed_run_equals_an_uninterrupted_one(tmp_path, changes, reward):
     assert outcome.samples == 8 * small.SAMPLES
     for name in ("last.pt", "best.pt"):
         assert small.equal(tmp_path / "whole" / name, tmp_path / "parts" / name)
-    told = [history.read(tmp_path / part / "history.jsonl") for part in ("whole", "parts")]
+    histories = [history.read(tmp_path / part / "history.jsonl") for part in ("whole", "parts")]
     rewards = [
         [(row.number, row.reward) for row in rows if isinstance(row, history.UpdateRow)]
-        for rows in told
+        for rows in histories
     ]
     assert rewards[0] == rewards[1]
     completion = [
         [(row.number, row.completion) for row in rows if isinstance(row, history.EvaluationRow)]
-        for rows in told
+        for rows in histories
     ]
     assert completion[0] == completion[1]
 
@@ -546,7 +546,7 @@ def test_run_without_an_end_is_refused(limit, tmp_path):
         small.run(tmp_path, small.cfg(minutes=minutes, steps=steps))
 
 
-def test_folder_that_cannot_be_made_is_told_in_one_sentence(tmp_path):
+def test_folder_that_cannot_be_made_gets_one_sentence(tmp_path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(PolicyError, match=r"cannot be made .*: give --out a place"):
         small.run(tmp_path / "file" / "run").learn()

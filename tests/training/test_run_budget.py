@@ -15,7 +15,7 @@ from tests.training.learners import algorithm
 
 
 def gone_on(folder, updates: int) -> Run:
-    """Return a resumed run whose budget is so many updates in all."""
+    """Return a resumed run with a budget of so many updates in all."""
     cfg = replace(config.read(folder), steps=updates * small.SAMPLES)
     run = small.run(folder, cfg)
     run.resume()
@@ -145,7 +145,7 @@ def test_new_run_removes_what_the_old_one_left_and_nothing_else(tmp_path):
     assert [name for name in mine if (tmp_path / name).read_text() == "old"] == list(mine)
 
 
-def test_how_far_a_run_has_come_is_told_in_a_phrase(tmp_path):
+def test_how_far_a_run_has_come_is_said_in_a_phrase(tmp_path):
     assert run_folder.summary(tmp_path) == "a run"
     small.run(tmp_path, small.cfg(updates=2)).learn()
     assert run_folder.summary(tmp_path).startswith("a run of 64 decisions and ")

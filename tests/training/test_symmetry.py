@@ -64,7 +64,7 @@ def shown(track: Track, cfg: EnvConfig, world: World) -> list[TensorDict]:
     return [TensorDict(one, [world.num_worlds]) for one in taken(groups)]
 
 
-def told_twice(kind: str, sensors: SensorConfig) -> list[tuple[TensorDict, TensorDict]]:
+def observed_twice(kind: str, sensors: SensorConfig) -> list[tuple[TensorDict, TensorDict]]:
     """Return what each car observes, and what it observes in the mirrored world."""
     sim, world = drawn(kind)
     cfg, track = EnvConfig(sim=sim, sensors=(sensors,)), make_square()
@@ -74,9 +74,9 @@ def told_twice(kind: str, sensors: SensorConfig) -> list[tuple[TensorDict, Tenso
 
 @pytest.mark.parametrize("kind", ["time_trial", "obstacle_avoidance", "head_to_head"])
 @pytest.mark.parametrize("form", LIDARS)
-def test_numbers_told_in_a_mirrored_world_are_the_mirror_image(kind, form):
+def test_numbers_observed_in_a_mirrored_world_are_the_mirror_image(kind, form):
     sensors = seen(form)
-    for here, there in told_twice(kind, sensors):
+    for here, there in observed_twice(kind, sensors):
         found = symmetry.observations(here, sensors)
         for group in ("lidar", "motion", "state"):
             assert torch.allclose(found[group], there[group], atol=2e-4), group
@@ -89,7 +89,7 @@ def test_numbers_told_in_a_mirrored_world_are_the_mirror_image(kind, form):
     "sensors", [seen(), seen(colour=True), seen(eyes="mono")], ids=["gray", "colour", "mono"]
 )
 def test_pictures_in_a_mirrored_world_are_the_mirror_image(kind, sensors):
-    for here, there in told_twice(kind, sensors):
+    for here, there in observed_twice(kind, sensors):
         found = symmetry.observations(here, sensors)["stereo"]
         # The grain of the floor and the light on walls have no mirror image; lines and cars have.
         assert differing(found, there["stereo"]) < 0.002
@@ -104,7 +104,7 @@ def differing(one: torch.Tensor, other: torch.Tensor) -> float:
 
 def test_swapping_the_eyes_is_needed():
     sensors = seen()
-    for here, there in told_twice("obstacle_avoidance", sensors):
+    for here, there in observed_twice("obstacle_avoidance", sensors):
         found = symmetry.observations(here, sensors)["stereo"]
         eyes_left = found.flip(1)
         assert differing(eyes_left, there["stereo"]) > 10 * differing(found, there["stereo"])
@@ -113,7 +113,7 @@ def test_swapping_the_eyes_is_needed():
 @pytest.mark.parametrize("form", LIDARS)
 def test_a_mirror_in_a_mirror_shows_the_original(form):
     sensors = seen(form, colour=True)
-    for here, _ in told_twice("head_to_head", sensors):
+    for here, _ in observed_twice("head_to_head", sensors):
         again = symmetry.observations(symmetry.observations(here, sensors), sensors)
         for group in here.keys():  # noqa: SIM118
             assert torch.equal(again[group], here[group]), group
@@ -121,15 +121,15 @@ def test_a_mirror_in_a_mirror_shows_the_original(form):
 
 def test_motion_keeps_its_speeds_and_turns_its_steering():
     assert MOTION_FIELDS == ("speed", "yaw_rate", "steering", "last_steering", "last_speed")
-    told = torch.tensor([[0.5, 0.25, -0.125, 0.75, -1.0]])
-    assert symmetry.numbers(told, MOTION_FIELDS).tolist() == [[0.5, -0.25, 0.125, -0.75, -1.0]]
+    motion = torch.tensor([[0.5, 0.25, -0.125, 0.75, -1.0]])
+    assert symmetry.numbers(motion, MOTION_FIELDS).tolist() == [[0.5, -0.25, 0.125, -0.75, -1.0]]
 
 
 def test_state_swaps_the_borders():
-    told = torch.zeros(1, len(INDEX))
-    told[0, INDEX["left"]], told[0, INDEX["right"]] = 0.3, 0.5
-    told[0, INDEX["car_0_gap"]], told[0, INDEX["car_0_lateral"]] = 2.0, 0.25
-    found = symmetry.numbers(told, FIELDS)[0]
+    truth = torch.zeros(1, len(INDEX))
+    truth[0, INDEX["left"]], truth[0, INDEX["right"]] = 0.3, 0.5
+    truth[0, INDEX["car_0_gap"]], truth[0, INDEX["car_0_lateral"]] = 2.0, 0.25
+    found = symmetry.numbers(truth, FIELDS)[0]
     assert float(found[INDEX["left"]]) == 0.5
     assert float(found[INDEX["right"]]) == pytest.approx(0.3)
     assert float(found[INDEX["car_0_gap"]]) == 2.0

@@ -1,4 +1,4 @@
-"""The tutor learns first from the truth; then the policy explores and is drawn towards it."""
+"""The teacher learns first from the truth; then the policy explores and is drawn towards it."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def collected(made: TaughtLearner):
     return found, algorithm(made).get_policy()
 
 
-def test_a_teacher_is_told_the_truth_and_sees_nothing():
+def test_a_teacher_observes_the_truth_and_sees_nothing():
     made = teacher_of(tutored())
     assert "stereo" not in group_shapes(made.cfg.sensors)
     actor = algorithm(made).get_policy()

@@ -1,4 +1,4 @@
-"""A small league whose races are over, and its pages."""
+"""A small league with all races over, and its pages."""
 
 import threading
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""A league whose races are decided by the names of its entries, without driving."""
+"""A league with races that are decided by the names of its entries, without driving."""
 
 from __future__ import annotations
 

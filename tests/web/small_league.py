@@ -66,7 +66,7 @@ def rated_heat(store: Store) -> int:
 
 
 def overtaken_heat(store: Store) -> int:
-    """Return the number of the first rated heat in whose first race a car was overtaken."""
+    """Return the number of the first rated heat with an overtaking in its first race."""
     for record in store.heats(("done",)):
         cars = store.results(record.number)[0].result["order"]
         if record.heat.purpose == "rated" and any(car["overtakes"] for car in cars):
@@ -75,7 +75,7 @@ def overtaken_heat(store: Store) -> int:
 
 
 def lapped_heat(store: Store) -> int:
-    """Return the number of the first rated heat in whose first race a lap was completed."""
+    """Return the number of the first rated heat with a completed lap in its first race."""
     for record in store.heats(("done",)):
         first = store.results(record.number)[0]
         if record.heat.purpose == "rated" and first.result["order"][0]["lap_times_s"]:

@@ -1,4 +1,4 @@
-"""Submitting over HTTP: what is sent, by whom, and to which server."""
+"""Submitting over HTTP: what is sent, from which owner, and to which server."""
 
 from __future__ import annotations
 

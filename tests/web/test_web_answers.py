@@ -267,7 +267,7 @@ def test_likely_pages_are_made_while_no_visitor_waits(league, making, monkeypatc
         monkeypatch.setattr(module, "REST", 0.0)
     app, give_up = make_app(league), time.monotonic() + 120
     assert not app.prepare()  # before the first request the server does not know its own address
-    with TestClient(app, base_url=ORIGIN) as pages, TestClient(make_app(league)) as anew:
+    with TestClient(app, base_url=ORIGIN) as pages, TestClient(make_app(league)) as fresh:
         assert pages.get("/heats").status_code == 200
         while app.prepare():
             assert time.monotonic() < give_up
@@ -277,8 +277,8 @@ def test_likely_pages_are_made_while_no_visitor_waits(league, making, monkeypatc
         made.clear()
         prepared = {address: pages.get(address).text for address in likely}
         assert not made
-        anew.base_url = ORIGIN
-        assert prepared == {address: anew.get(address).text for address in likely}
+        fresh.base_url = ORIGIN
+        assert prepared == {address: fresh.get(address).text for address in likely}
         raced(league, leagues.duels(league, 1, first=500))
         made.clear()
         while not app.prepare():  # until nothing is made again

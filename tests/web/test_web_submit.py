@@ -356,7 +356,7 @@ def test_a_form_of_another_kind_is_refused(store, kind):
     assert answer.status_code in (401, 422)
 
 
-def test_many_requests_of_one_client_are_told_to_wait(store):
+def test_many_requests_of_one_client_have_to_wait(store):
     limits = Limits(Limit(0.5, 3), Limit(0.5, 2), Limit(1, 1), Limit(1, 1))
     with served(store, limits=limits) as client:
         headers = token(store)

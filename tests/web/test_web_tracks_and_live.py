@@ -92,11 +92,11 @@ def test_a_heat_that_is_raced_tells_how_far_it_has_come(store, monkeypatch):
         monkeypatch.setattr("league.web.reader.time.time", lambda: claim.claimed_s + 12.0)
         monkeypatch.setattr("league.web.answers.MOST", 8)
         monkeypatch.setattr("league.web.answers.FRESH_S", 0.0)
-        told = client.get(path).json()["progress"]
-        assert told["worker"] == "a worker" and told["races"] == len(claim.heat.halves)
-        assert told["elapsed_s"] == pytest.approx(12.0)
-        assert told["usual_s"] == pytest.approx((took_s[9] + took_s[10]) / 2)
-        assert client.get("/api/v1/live").json()["progress"][str(claim.number)] == told
+        progress = client.get(path).json()["progress"]
+        assert progress["worker"] == "a worker" and progress["races"] == len(claim.heat.halves)
+        assert progress["elapsed_s"] == pytest.approx(12.0)
+        assert progress["usual_s"] == pytest.approx((took_s[9] + took_s[10]) / 2)
+        assert client.get("/api/v1/live").json()["progress"][str(claim.number)] == progress
         text = client.get(page).text
         since = f"On a worker since {times.time_of_day(claim.claimed_s)} UTC: 12 s <progress "
         assert since in " ".join(text.split()) and "<progress " in client.get("/live").text

@@ -18,7 +18,7 @@ from tests.matchmaking import leagues
 from tests.web.decided_league import decided_league, raced, until
 from tests.web.small_league import ORIGIN
 
-TOLD = ("number", "races", "wins", "score", "unfinished", "best_laps_s", "connected", "one_sided")
+FIELDS = ("number", "races", "wins", "score", "unfinished", "best_laps_s", "connected", "one_sided")
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def test_new_races_are_all_in_the_standings_between_two_fits(league):
     assert later.settled is before and whole.settled is None
     rows = {row.number: row for row in later.rated.rows}
     for row in whole.rated.rows:
-        for name in TOLD:
+        for name in FIELDS:
             assert getattr(rows[row.number], name) == getattr(row, name), name
     assert later.rated.num_races == whole.rated.num_races == before.rated.num_races + 4
     for name in ("clean_laps", "car_counts", "owners", "kinds", "by_number"):

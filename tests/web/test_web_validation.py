@@ -26,7 +26,7 @@ ATOM = "{http://www.w3.org/2005/Atom}"
 
 @pytest.fixture(scope="module")
 def validated(tmp_path_factory) -> Iterator[Store]:
-    """Return a league whose third entry was validated, and raced no one else yet."""
+    """Return a league with a third entry that was validated, and has raced no other yet."""
     url = f"sqlite:///{tmp_path_factory.mktemp('league') / 'league.db'}"
     with new_league(url, anchors=("centerline", "racing_line"), rules=RULES) as store:
         store.submit("Ann's car", "ann", scripted="cautious")

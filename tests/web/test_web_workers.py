@@ -118,7 +118,7 @@ def test_heats_of_remote_workers_can_be_followed(store, tmp_path):
                 urlopen(f"{player}/races/1/replay?{len(false[0])}")
             with urlopen(f"{page}?{len(false[0])}") as answer:
                 assert b"data-replay" not in answer.read()
-    remote.show("w", sent[-1:])  # the server is away: nobody can follow, and the race goes on
+    remote.show("w", sent[-1:])  # the server is away: no page can follow, and the race goes on
 
 
 def test_an_owner_is_not_lent_heats_of_own_entries(store, tmp_path):
