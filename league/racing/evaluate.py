@@ -186,13 +186,12 @@ def _drive(
             restart = np.array([run.restart for run in runs])
             before = env.world.cars.copy()
             step = rollout.step(restart=restart, seeds=[run.restart_seed for run in runs])
-            records = _step_records(tracks, cfg.sim, before, env.world, step)
-            trial_steps = []
+            paused, trial_steps = is_frozen(before[:, 0]).tolist(), []
             for row, run in enumerate(runs):
                 if run.restart:
                     run.restart = False
                 elif not run.over:
-                    trial_steps.append(run.add(row, records[row]))
+                    trial_steps.append(run.add(row, env, step, paused[row]))
             if watch is not None and recorder is not None:
                 worlds = before, recorder.judged, env.world
                 watch(EvalStep(tracks, cfg.sim, *worlds, step, tuple(trial_steps)))
@@ -215,45 +214,6 @@ class _WorldRecorder:
 
     def restart(self, world: World, who: ndarray) -> None:
         self._reward.restart(world, who)
-
-
-@dataclass(frozen=True)
-class StepRecord:
-    """A step of the evaluated car of one world."""
-
-    mistakes: tuple[str, ...]  # the referee's flags that are set, of MISTAKES
-    lap: bool  # whether it completed a lap
-    truncated: bool
-    paused: bool  # whether it served a penalty before the step
-    penalty_s: float
-    lap_s: float  # time of the last complete lap [s]
-    elapsed_s: float  # time since this lap began [s]
-    # part of the lap that was driven, from 0 to 1, beyond it by rounding or behind the line
-    share: float
-    place: int
-
-
-def _step_records(
-    tracks: TrackSet, sim: SimConfig, before: ndarray, world: World, step: Step
-) -> list[StepRecord]:
-    cars, verdicts = world.cars[:, 0], step.verdicts[:, 0]
-    share = cars["best_distance"] / tracks.lap_length(world.track) - cars["laps"]
-    elapsed_s = world.worlds["step"] * sim.step_dt - cars["lap_start_s"]
-    columns = (
-        verdicts["lap"],
-        step.truncated[:, 0],
-        is_frozen(before[:, 0]),
-        cars["penalty_s"],
-        cars["last_lap_s"],
-        elapsed_s,
-        share,
-        referee.running_order(world.cars, sim.rules.start == "pursuit")[:, 0] + 1,
-    )
-    flags = zip(*(verdicts[name].tolist() for name in MISTAKES), strict=True)
-    return [
-        StepRecord(tuple(name for name, flag in zip(MISTAKES, made, strict=True) if flag), *row)
-        for made, *row in zip(flags, *(column.tolist() for column in columns), strict=True)
-    ]
 
 
 @dataclass
@@ -281,41 +241,48 @@ class LapRun:
             return self.seed
         return rng.bits(self.seed, _ATTEMPT, len(self.rows)).item() & rng.SEED_MASK
 
-    def add(self, row: int, record: StepRecord) -> TrialStep:
-        """Count a step of this run, which is in a row of the batch."""
+    def add(self, row: int, env: RaceEnv, step: Step, paused: bool) -> TrialStep:
+        """Count a step of this run, which is in a row of the batch.
+
+        `paused` is whether the car served a penalty before the step.
+        """
+        seen, car = step.verdicts[row, 0], env.world.cars[row, 0]
+        mistakes = [name for name in MISTAKES if seen[name]]
         self.steps += 1
-        for name in record.mistakes:
+        for name in mistakes:
             self.counts[name] += 1
-        self.penalty_s += record.penalty_s if record.mistakes and self.mode == "race" else 0.0
-        mistake = MISTAKES[record.mistakes[0]] if record.mistakes else None
-        trial, step = len(self.rows), self.steps
-        ending = self._ending(mistake, record)
+        if mistakes and self.mode == "race":
+            self.penalty_s += float(car["penalty_s"])
+        mistake = MISTAKES[mistakes[0]] if mistakes else None
+        trial, number = len(self.rows), self.steps
+        ending: Status | None = "time_up" if step.truncated[row, 0] else None
+        if self.mode == "episode" and mistake is not None:
+            ending = mistake
+        if seen["lap"]:
+            ending = "lap_complete"
         if ending is not None:
-            self._close(ending, record)
+            self._close(ending, car, env, row)
             self.over = len(self.rows) == self.laps or (self.mode, ending) == ("race", "time_up")
             # After a mistake the next attempt begins at the line; after a lap the car drives on.
             self.restart = not self.over and (ending != "lap_complete" or mistake is not None)
             self.standing = self.restart
-        status = ending or mistake or ("pause" if record.paused else "in_progress")
-        return TrialStep(self.number, row, trial, step, status, ending is not None)
+        status = ending or mistake or ("pause" if paused else "in_progress")
+        return TrialStep(self.number, row, trial, number, status, ending is not None)
 
-    def _ending(self, mistake: Status | None, record: StepRecord) -> Status | None:
-        if record.lap:
-            return "lap_complete"
-        if self.mode == "episode" and mistake is not None:
-            return mistake
-        return "time_up" if record.truncated else None
-
-    def _close(self, ending: Status, record: StepRecord) -> None:
-        complete = ending == "lap_complete"
-        share = 1.0 if complete else min(max(record.share, 0.0), 1.0)
+    def _close(self, ending: Status, car: np.void, env: RaceEnv, row: int) -> None:
+        race, share, time_s = env.world.row(row), 1.0, car["last_lap_s"]
+        if ending != "lap_complete":
+            # Beyond 0 to 1 by rounding, or behind the line.
+            driven = car["best_distance"] / env.tracks.lap_length(race.track)[0] - car["laps"]
+            share = min(max(float(driven), 0.0), 1.0)
+            time_s = env.time_s[row] - car["lap_start_s"]
         self.rows.append(
             {
                 "run": self.number,
                 "seed": self.seed,
                 "standing": self.standing,
                 "status": ending,
-                "time_s": round(record.lap_s if complete else record.elapsed_s, 4),
+                "time_s": round(float(time_s), 4),
                 "completion": round(100.0 * share, 2),
                 "off_tracks": self.counts["off_track"],
                 "crashes": self.counts["crashed"],
@@ -326,4 +293,5 @@ class LapRun:
         )
         self.counts = dict.fromkeys(self.counts, 0)
         self.steps, self.penalty_s = 0, 0.0
-        self.place = record.place
+        order = referee.running_order(race.cars, env.cfg.sim.rules.start == "pursuit")
+        self.place = int(order[0, 0]) + 1
