@@ -12,7 +12,7 @@ from league.envs import observations, state
 from league.envs.config import EnvConfig
 from league.envs.step import worlds_per_thread
 from league.portable_math import f32
-from league.sim.config import FRAME_STEPS, CameraConfig
+from league.sim.config import FRAME_STEPS, CameraConfig, SensorConfig
 from league.sim.records import NOBODY, World
 from league.threads import shared_out
 from league.track.track import TrackSet
@@ -73,12 +73,11 @@ class SensorSuite:
         self._readings: list[dict[str, np.ndarray]] = [{} for _ in self._sensors]
         self.held: list[dict[str, np.ndarray]] = [{} for _ in self._sensors]
         """What each car is given: its last readings, with the earlier ones that it keeps."""
-        self._history = [cfg.sensors_of(car).history for car in range(cfg.sim.num_cars)]
-        self._frames = [cfg.sensors_of(car).frames for car in range(cfg.sim.num_cars)]
-        self.carries = any(self._sensors) or any(self._history)
+        self._kept_steps = [_kept_steps(cfg.sensors_of(car)) for car in range(cfg.sim.num_cars)]
+        self.carries = any(self._sensors) or any(self._kept_steps)
         """Whether any car keeps readings."""
         late = [hz < cfg.sim.step_hz for own in self._sensors for hz, _ in own.values()]
-        self.remembers = any(late) or any(self._history) or max(self._frames) > 1
+        self.remembers = any(late) or any(self._kept_steps)
         """Whether any car is given readings of an earlier step."""
         self.privileged = [cfg.sensors_of(car).privileged for car in range(cfg.sim.num_cars)]
         self._computed: dict[str, np.ndarray] = {}
@@ -90,8 +89,8 @@ class SensorSuite:
         for held in (*self.held, *self._readings):
             held.clear()
         self._stale: np.ndarray | None = None
-        self._last: dict[int, np.ndarray] = {}
-        self._pictures: dict[int, list[np.ndarray]] = {}  # of the steps before, newest first
+        self._past: dict[tuple[str, int], list[np.ndarray]] = {}
+        """What each car read in the last step and before it, newest first, by group and car."""
 
     def refresh(self, cars: np.ndarray) -> None:
         """Read the sensors of these cars next time, due or not; bool, (num_worlds, num_cars)."""
@@ -147,34 +146,24 @@ class SensorSuite:
         self._stale = None
         return tuple(self.held)
 
-    def _remember(self, world: World, moved: np.ndarray | None) -> None:
+    def _remember(self, world: World, moved: np.ndarray | None, *, again: bool = False) -> None:
         """Bring the groups with earlier readings up to date, newest first.
 
-        A car that begins or was put elsewhere has no past: all of it is what it reads now.
+        A car that begins or was put elsewhere has no past: all of it is what it reads now. `again`:
+        these are other readings of the same step.
         """
-        for car, length in enumerate(self._history):
-            held = self.held[car]
+        for car, held in enumerate(self.held):
             held.update(self._readings[car])
-            if self._frames[car] > 1:
-                held["stereo"] = self._stack(car, None if moved is None else moved[:, car])
-            if not length:
-                continue
-            now = self._reading(world, car)
-            past = np.tile(now, length)
-            if car in self._last:
-                kept = np.concatenate([self._last[car], held["history"]], axis=1)
-                kept = kept[:, : past.shape[1]]
-                past = kept if moved is None else np.where(moved[:, car : car + 1], past, kept)
-            held["history"], self._last[car] = past, now
-
-    def _stack(self, car: int, moved: np.ndarray | None) -> np.ndarray:
-        """Return a car's pictures, newest first, and keep the newest one for later."""
-        now = self._readings[car]["stereo"]
-        past = self._pictures.get(car, [now] * FRAME_STEPS * (self._frames[car] - 1))
-        if moved is not None and moved.any():
-            past = [np.where(moved[:, None, None, None], now, picture) for picture in past]
-        self._pictures[car] = [now, *past[:-1]]
-        return np.concatenate([now, *past[FRAME_STEPS - 1 :: FRAME_STEPS]], axis=1)
+            for name, most in self._kept_steps[car].items():
+                now = held[name] if name == "stereo" else self._reading(world, car)
+                past = self._past.get((name, car), [now] * (most + 1))[again:][:most]
+                if moved is not None and moved[:, car].any():
+                    # Earlier readings belong to observations already handed out: not in place.
+                    fresh = moved[:, car].reshape(-1, *[1] * (now.ndim - 1))
+                    past = [np.where(fresh, now, one) for one in past]
+                self._past[name, car] = kept = [now, *past]
+                given = kept[::FRAME_STEPS] if name == "stereo" else past
+                held[name] = np.concatenate(given, axis=1)
 
     def _reading(self, world: World, car: int) -> np.ndarray:
         """Return motion and lidar of a car now, float32 (num_worlds, 5 + size)."""
@@ -191,18 +180,9 @@ class SensorSuite:
             for name, (_, read) in sensors.items():
                 kept = self._readings[car][name]
                 self._readings[car][name] = _with(kept, rows, read(world, car, rows))
-        for car, length in enumerate(self._history):
-            given = {} | self._readings[car]
-            if self._frames[car] > 1:
-                now, given["stereo"] = given["stereo"][rows], self.held[car]["stereo"].copy()
-                given["stereo"][rows] = np.tile(now, (1, self._frames[car], 1, 1))
-                # Earlier pictures belong to observations already handed out: not in place.
-                self._pictures[car] = [_with(kept, rows, now) for kept in self._pictures[car]]
-            self.held[car].update(given)
-            if length:
-                now, past = self._reading(world, car), self.held[car]["history"].copy()
-                past[rows] = np.tile(now[rows], length)
-                self.held[car]["history"], self._last[car] = past, now
+        moved = np.zeros((world.num_worlds, world.num_cars), np.bool_)
+        moved[rows] = True
+        self._remember(world, moved, again=True)
 
     def _sensors_of(self, car: int) -> dict[str, tuple[float, Reading]]:
         carried = self._cfg.sensors_of(car)
@@ -224,6 +204,12 @@ class SensorSuite:
             arguments = (self._tracks, self._cfg.sim, camera, self._cfg.looks)
             self._renderers[camera] = Renderer(*arguments)
         return self._renderers[camera]
+
+
+def _kept_steps(carried: SensorConfig) -> dict[str, int]:
+    """Return of how many earlier steps a car keeps readings, by group; none of 0 steps."""
+    steps = {"stereo": FRAME_STEPS * (carried.frames - 1), "history": carried.history}
+    return {name: most for name, most in steps.items() if most}
 
 
 def _with(array: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
