@@ -198,11 +198,6 @@ class ContinuousActions:
         return 2
 
     @property
-    def top_speed(self) -> float:
-        """Largest speed that can be asked for [m/s]."""
-        return self.speed_high
-
-    @property
     def is_mirrored(self) -> bool:
         """Whether left and right may be swapped."""
         return self.steering_low == -self.steering_high
@@ -240,11 +235,6 @@ class DiscreteActions:
     def size(self) -> int:
         """Numbers a network answers with."""
         return len(self.choices)
-
-    @property
-    def top_speed(self) -> float:
-        """Largest speed that can be asked for [m/s]."""
-        return max(speed for _, speed in self.choices)
 
     @property
     def is_mirrored(self) -> bool:
