@@ -1,6 +1,7 @@
 """Parts for rsl-rl: pictures as bytes, and distributions of bounded actions and choices."""
 
 from collections.abc import Generator, Mapping
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -108,23 +109,13 @@ class BoundedGaussian(_NearZero, GaussianDistribution):
 
     def update(self, mlp_output: Tensor) -> None:
         """Set the means; their gradient gains the pull."""
-        super().update(_Pull.apply(mlp_output, self._pull))  # type: ignore
+        super().update(mlp_output)
+        if mlp_output.requires_grad:
+            mlp_output.register_hook(partial(self._pulled, mlp_output.detach()))
 
-
-class _Pull(torch.autograd.Function):
-    """The identity, with a gradient towards [-1, 1] of its own."""
-
-    @staticmethod
-    def forward(ctx, means: Tensor, pull: float) -> Tensor:  # noqa: ANN001
-        ctx.save_for_backward(means)
-        ctx.pull = pull
-        return means.view_as(means)
-
-    @staticmethod
-    def backward(ctx, gradient: Tensor) -> tuple[Tensor, None]:  # noqa: ANN001  # type: ignore
-        (means,) = ctx.saved_tensors
+    def _pulled(self, means: Tensor, gradient: Tensor) -> Tensor:
         excess = means - means.clamp(-1.0, 1.0)
-        return gradient + ctx.pull / means.shape[0] * excess, None
+        return gradient + self._pull / len(means) * excess
 
 
 class Categorical(_NearZero):
