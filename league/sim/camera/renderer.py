@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from functools import cache, cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -82,7 +83,9 @@ class Renderer:
         shape = (len(poses), cfg.num_eyes, cfg.height, cfg.width)
         pictures = np.empty((*shape, 3) if cfg.colour else shape, np.uint8)
         for track in set(tracks.tolist()):
-            self._paint(np.flatnonzero(tracks == track), pictures, poses, things, track)
+            seen = np.flatnonzero(tracks == track), pictures, poses, things, self._floor(track)
+            least = max(1, BYTES_PER_THREAD // pictures[0].size)
+            shared_out(self._paint, len(seen[0]), least, *seen)
         if look is not None:
             for row, picture in enumerate(pictures):
                 visual_randomization.develop(picture, look, row)
@@ -91,22 +94,10 @@ class Renderer:
             pictures = np.ascontiguousarray(channels_first).reshape(-1, *cfg.shape)
         return pictures
 
-    def _paint(
-        self,
-        rows: np.ndarray,
-        pictures: np.ndarray,
-        poses: np.ndarray,
-        things: np.ndarray,
-        track: int,
-    ) -> None:
-        """Paint the pictures of the rows, which are on one track; many on several threads."""
-        floor = self._floor(track)
-
-        def some(start: int, stop: int) -> int:
-            self._painter.paint(rows[start:stop], pictures, poses, things, floor)
-            return 0
-
-        shared_out(some, len(rows), max(1, BYTES_PER_THREAD // pictures[0].size))
+    def _paint(self, start: int, stop: int, rows: np.ndarray, *seen: Any) -> int:  # noqa: ANN401
+        """Paint the pictures of some of the rows, which are on one track; see Painter.paint."""
+        self._painter.paint(rows[start:stop], *seen)
+        return 0
 
 
 class Painter:
