@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -47,7 +48,6 @@ class ParamsBuilder:
         self._step_dt, self._cars = sim.step_dt, tuple(cars)
         self._body = _body(sim.car, CameraConfig())
         self.memory = np.zeros((0, 0), params_kernels.MEMORY)  # (num_worlds, num_cars)
-        self._tracks: TrackSet | None = None
 
     def restart(self, begun: np.ndarray) -> None:
         """Begin an episode for these cars, bool, (num_worlds, num_cars).
@@ -74,9 +74,7 @@ class ParamsBuilder:
         Cars that stand a penalty or have finished are left out. The arguments are those of a
         Reward.
         """
-        if tracks is not self._tracks:
-            self._roads, self._tracks = Roads.of(tracks), tracks
-        roads = self._roads
+        roads = Roads.of(tracks)
         own, objects = params_kernels.build(
             *(tracks.points, tracks.courses, roads.records, self._body, self.memory),
             *(roads.own_waypoints, before.cars, world.cars, world.obstacles, world.worlds),
@@ -139,8 +137,9 @@ class Roads:
     function gets a copy of the list; its points are tuples, which it cannot change."""
 
     @classmethod
+    @lru_cache(maxsize=8)
     def of(cls, tracks: TrackSet) -> Roads:
-        """Make the tables."""
+        """Make the tables, once for tracks in use."""
         records = np.zeros(len(tracks.courses), dtype=params_kernels.ROAD)
         waypoints = tuple(_waypoints(track) for track in tracks.tracks)
         records["steps"] = [len(points) - 1 for points in waypoints]

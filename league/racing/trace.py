@@ -54,54 +54,49 @@ def mistakes(verdicts: ndarray) -> list[str]:
     return names.tolist()
 
 
-class StepRows:
-    """The columns of the CSV that follow from one step alone, for car 0 of each world."""
+def step_rows(
+    tracks: TrackSet,
+    car: CarConfig,
+    space: ActionSpace,
+    before: ndarray,
+    world: World,
+    rewards: ndarray,
+) -> list[dict[str, Any]]:
+    """Return the columns that follow from one step alone, a row for car 0 of each world.
 
-    def __init__(self, space: ActionSpace | None) -> None:
-        """Prepare; column `action` holds a choice of a discrete space, or else two numbers."""
-        self._space = space
-        self._roads: Roads | None = None
+    The world is after the step, before any penalty moved a car; CAR records before the step, and
+    the rewards of each car, are (num_worlds, num_cars). Column `action` holds a choice of a
+    discrete space, or else two numbers.
+    """
+    columns = _columns(tracks, car, before[:, 0], world, rewards[:, 0])
+    rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    for row, index in zip(rows, world.track.tolist(), strict=True):
+        row.update(_lap_columns(tracks, index, row))
+        row["action"] = _action(space, row["steer"], row["throttle"])
+    return rows
 
-    def of(
-        self, tracks: TrackSet, sim: SimConfig, before: ndarray, world: World, rewards: ndarray
-    ) -> list[dict[str, Any]]:
-        """Return a row for each world, which is after the step, before any penalty moved a car.
 
-        CAR records before the step, and the rewards of each car, are (num_worlds, num_cars).
-        """
-        if self._roads is None:
-            self._roads = Roads.of(tracks)
-        columns = _columns(tracks, sim.car, before[:, 0], world, rewards[:, 0])
-        rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-        for row, index in zip(rows, world.track.tolist(), strict=True):
-            row.update(self._lap_columns(tracks, index, row))
-            row["action"] = self._action(row["steer"], row["throttle"])
-        return rows
+def _lap_columns(tracks: TrackSet, index: int, row: Mapping[str, float]) -> dict[str, Any]:
+    """Return the columns that say where on the lap the car is."""
+    roads = Roads.of(tracks)
+    tables = (roads.own_waypoints, tracks.courses[index], roads.records[index])
+    pair = params_kernels.closest_waypoints(*tables, row["nose_s"], row["X"], row["Y"])
+    # The referee counts laps where the base is; the original's progress is that of the nose.
+    on_lap = row["distance"] - row["laps"] * row["lap_length"]
+    progress = 100.0 * (on_lap + row["nose_ahead"]) / row["lap_length"]
+    return {
+        "progress": round(min(max(progress, 0.0), 100.0), 6),
+        "closest_waypoint": nearer(roads.waypoints[index], pair, row["X"], row["Y"]),
+        "track_len": round(tracks.tracks[index].length, 6),
+    }
 
-    def _lap_columns(
-        self, tracks: TrackSet, index: int, row: Mapping[str, float]
-    ) -> dict[str, Any]:
-        """Return the columns that say where on the lap the car is."""
-        roads = self._roads
-        assert roads is not None
-        tables = (roads.own_waypoints, tracks.courses[index], roads.records[index])
-        pair = params_kernels.closest_waypoints(*tables, row["nose_s"], row["X"], row["Y"])
-        # The referee counts laps where the base is; the original's progress is that of the nose.
-        on_lap = row["distance"] - row["laps"] * row["lap_length"]
-        progress = 100.0 * (on_lap + row["nose_ahead"]) / row["lap_length"]
-        return {
-            "progress": round(min(max(progress, 0.0), 100.0), 6),
-            "closest_waypoint": nearer(roads.waypoints[index], pair, row["X"], row["Y"]),
-            "track_len": round(tracks.tracks[index].length, 6),
-        }
 
-    def _action(self, steer: float, throttle: float) -> str | int:
-        if isinstance(self._space, DiscreteActions):
-            choices = self._space.choices
-            gaps = [abs(angle - steer) / 30.0 + abs(speed - throttle) for angle, speed in choices]
-            return gaps.index(min(gaps))
-        # No comma between the two: readers of the older files count commas.
-        return f"[{steer:.4f} {throttle:.4f}]"
+def _action(space: ActionSpace, steer: float, throttle: float) -> str | int:
+    if isinstance(space, DiscreteActions):
+        gaps = [abs(angle - steer) / 30.0 + abs(speed - throttle) for angle, speed in space.choices]
+        return gaps.index(min(gaps))
+    # No comma between the two: readers of the older files count commas.
+    return f"[{steer:.4f} {throttle:.4f}]"
 
 
 class Trace:
@@ -120,16 +115,14 @@ class Trace:
         """
         self.space, self.started_s = space or ContinuousActions(), started_s
         self.sensors = sensors or SensorConfig()
-        self._step_rows = StepRows(space)
         self._rows: dict[int, list[dict[str, Any]]] = {}
         self._step_dt = 0.0
 
     def add(self, step: EvalStep) -> None:
         """Keep one step of every run that is under way."""
         self._step_dt = step.sim.step_dt
-        rows = self._step_rows.of(
-            step.tracks, step.sim, step.before, step.judged, step.step.rewards
-        )
+        tables = step.tracks, step.sim.car, self.space
+        rows = step_rows(*tables, step.before, step.judged, step.step.rewards)
         pauses = _plain(step.world.cars["penalty_s"][:, 0])
         for trial in step.trials:
             run = self._rows.setdefault(trial.run, [])
@@ -261,7 +254,7 @@ class TrainingTrace:
         """Prepare; nothing is written before `flush`, or the end of the twentieth episode."""
         self._reward, self._folder, self._sim = reward, folder / TRAINING, sim
         self.terms = reward.terms  # names under which the other reward logs
-        self._step_rows = StepRows(space)
+        self._space = space
         self._running: list[list[dict[str, Any]]] = []
         self._ended: list[list[dict[str, Any]]] = []
         self._episodes = self._steps = 0
@@ -282,7 +275,7 @@ class TrainingTrace:
             "wall_clock": round(time.time(), 3),
             "pause_duration": 0.0,
         }
-        rows = self._step_rows.of(tracks, self._sim, before.cars, world, paid[0])
+        rows = step_rows(tracks, self._sim.car, self._space, before.cars, world, paid[0])
         flags = mistakes(verdicts[:, 0])
         crashed = verdicts["crashed_obstacle"][:, 0] != NOBODY
         laps = verdicts["lap"][:, 0].tolist()
