@@ -17,6 +17,7 @@ from league.matchmaking.store.records import Cup, Move, Season
 from league.matchmaking.store.schema import Change, LedgerRecord, cups, divisions, heats, seasons
 
 _Contest = TypeVar("_Contest", Season, Cup)
+TABLES = {Season: seasons, Cup: cups}
 
 
 class SeasonStore(schema.Transactional):
@@ -25,7 +26,7 @@ class SeasonStore(schema.Transactional):
     def seasons(self) -> list[Season]:
         """Return all seasons, the first one first; a league without any is one all its life."""
         with self._database.reading() as connection:
-            return listed(connection)
+            return listed(connection, Season)
 
     def start_season(self, name: str, settings: Mapping[str, Any]) -> Season:
         """Begin a season with the heats after the last one's; the first one has all heats so far.
@@ -34,30 +35,20 @@ class SeasonStore(schema.Transactional):
         were in. While one is running, or if one has this name, that is a StoreError.
         """
         with self._writing(lock=True) as change:
-            known = listed(change.connection)
+            known = listed(change.connection, Season)
             last = known[-1] if known else None
             if last is not None and last.ended_s is None:
                 raise StoreError(
                     f"the season {last.name!r} has not ended: end it first with `league season end`"
                 )
-            number = last.number + 1 if last else 1
-            row = {
-                "number": number,
-                "name": free_name(change, seasons, name or f"Season {number}", "a season"),
-                "ruleset": change.connection.scalar(sa.select(schema.league.c.ruleset)),
-                "seed": heat_spec.seed(self._secret, f"season {number}", 0),
-                "settings": heat_spec.canonical(dict(settings)).decode(),
-                "after": last.until if last else 0,
-                "started_s": change.now,
-            }
-            change.insert(seasons, row)
-            begun = listed(change.connection)[-1]
-            change.record(_records(begun))
+            ruleset = change.connection.scalar(sa.select(schema.league.c.ruleset))
+            own = {"ruleset": ruleset, "after": last.until if last else 0}
+            begun = _begun(change, Season, name, settings, self._secret, **own)
             change.log("league", "season start", begun.name)
             if last is not None and last.ruleset == begun.ruleset:
                 were = {one.entry: one.division for one in moves_of(change.connection, last.number)}
                 stay = [Move(0, one, at, begun.after, "start") for one, at in were.items() if at]
-                _move(change, number, stay)
+                _move(change, begun.number, stay)
             return begun
 
     def close_season(self, number: int) -> int:
@@ -69,7 +60,7 @@ class SeasonStore(schema.Transactional):
             newest = sa.select(sa.func.coalesce(sa.func.max(heats.c.number), 0)).scalar_subquery()
             running = (seasons.c.number == number) & seasons.c.until.is_(None)
             change.update(seasons, running, until=newest)
-            season = _numbered(listed(change.connection), number)
+            season = listed(change.connection, Season)[number - 1]
             queue.reap(change)
             own = season.has(heats.c.number) & (heats.c.purpose == "rated")
             cancelled = queue.cancel(change, own)
@@ -81,12 +72,11 @@ class SeasonStore(schema.Transactional):
         """End a closed season, or a cup, as a document; one that has ended stays as it is."""
         text = heat_spec.canonical(dict(document))
         frozen = {"hash": heat_spec.digest(text), "document": zlib.compress(text, 6)}
-        table = seasons if isinstance(one, Season) else cups
+        table = TABLES[type(one)]
         running = (table.c.number == one.number) & table.c.ended_s.is_(None)
         with self._writing(lock=True) as change:
             has_ended = change.update(table, running, ended_s=change.now, **frozen)
-            known: list[Any] = (listed if table is seasons else cups_listed)(change.connection)
-            ended: _Contest = _numbered(known, one.number)
+            ended = listed(change.connection, type(one))[one.number - 1]
             if has_ended:
                 record = _records(ended)[-1]
                 change.record([record])
@@ -95,7 +85,7 @@ class SeasonStore(schema.Transactional):
 
     def frozen(self, one: Season | Cup) -> dict[str, Any] | None:
         """Return what a season or cup was frozen as; None before its end."""
-        table = seasons if isinstance(one, Season) else cups
+        table = TABLES[type(one)]
         with self._database.reading() as connection:
             query = sa.select(table.c.document).where(table.c.number == one.number)
             packed = connection.scalar(query)
@@ -114,7 +104,7 @@ class SeasonStore(schema.Transactional):
     def cups(self) -> list[Cup]:
         """Return all cups, the first one first."""
         with self._database.reading() as connection:
-            return cups_listed(connection)
+            return listed(connection, Cup)
 
     def start_cup(self, name: str, settings: Mapping[str, Any], rules: Sequence[Ruleset]) -> Cup:
         """Begin a cup under some rules; an empty name is its number.
@@ -123,38 +113,53 @@ class SeasonStore(schema.Transactional):
         from its number. A name that cannot be shown, or is taken, is a StoreError.
         """
         with self._writing(lock=True) as change:
-            number = len(cups_listed(change.connection)) + 1
-            running = next((one for one in listed(change.connection) if one.until is None), None)
+            known = listed(change.connection, Season)
+            running = next((one for one in known if one.until is None), None)
             secret = running.seed.to_bytes(8, "big") if running else self._secret
-            row = {
-                "number": number,
-                "name": free_name(change, cups, name or f"Cup {number}", "a cup"),
-                "season": running.number if running else None,
-                "seed": heat_spec.seed(secret, f"cup {number}", 0),
-                "settings": heat_spec.canonical(dict(settings)).decode(),
-                "started_s": change.now,
-            }
             for one in rules:
                 schema.add_ruleset(change, one)
-            change.insert(cups, row)
-            cup = cups_listed(change.connection)[-1]
-            change.record(_records(cup))
+            number = running.number if running else None
+            cup = _begun(change, Cup, name, settings, secret, season=number)
             change.log("league", "cup start", cup.name, entrants=len(settings["entrants"]))
             return cup
 
 
-def listed(connection: sa.Connection) -> list[Season]:
-    """Return all seasons, the first one first."""
-    columns = [column for column in seasons.c if column is not seasons.c.document]
-    query = sa.select(*columns, schema.rulesets.c.hash.label("rules")).join(
-        schema.rulesets, schema.rulesets.c.number == seasons.c.ruleset
-    )
+def listed(connection: sa.Connection, kind: type[_Contest]) -> list[_Contest]:
+    """Return all seasons, or cups, the first one first; they are numbered from 1."""
+    table = TABLES[kind]
+    query = sa.select(*(column for column in table.c if column.name not in ("document", "ruleset")))
+    if kind is Season:
+        rules = schema.rulesets
+        query = query.add_columns(rules.c.hash.label("ruleset"))
+        query = query.join(rules, rules.c.number == seasons.c.ruleset)
     return [
-        made_of(
-            Season, row, ruleset=row.rules, settings=json.loads(row.settings), hash=row.hash or ""
-        )
-        for row in connection.execute(query.order_by(seasons.c.number))
+        made_of(kind, row, settings=json.loads(row.settings), hash=row.hash or "")
+        for row in connection.execute(query.order_by(table.c.number))
     ]
+
+
+def _begun(
+    change: Change,
+    kind: type[_Contest],
+    name: str,
+    settings: Mapping[str, Any],
+    secret: bytes,
+    **own: object,
+) -> _Contest:
+    """Begin a season or cup; its seed follows from a secret and its number."""
+    what, number = kind.__name__, len(listed(change.connection, kind)) + 1
+    row = {
+        "number": number,
+        "name": free_name(change, TABLES[kind], name or f"{what} {number}", f"a {what.lower()}"),
+        "seed": heat_spec.seed(secret, f"{what.lower()} {number}", 0),
+        "settings": heat_spec.canonical(dict(settings)).decode(),
+        "started_s": change.now,
+        **own,
+    }
+    change.insert(TABLES[kind], row)
+    begun = listed(change.connection, kind)[-1]
+    change.record(_records(begun))
+    return begun
 
 
 def free_name(change: Change, table: sa.Table, name: str, what: str) -> str:
@@ -164,10 +169,6 @@ def free_name(change: Change, table: sa.Table, name: str, what: str) -> str:
     if change.connection.scalar(taken) is not None:
         raise StoreError(f"there is {what} {name!r} already: choose another name")
     return name
-
-
-def _numbered(known: Sequence[_Contest], number: int) -> _Contest:
-    return next(one for one in known if one.number == number)
 
 
 def _move(change: Change, season: int, moves: Sequence[Move]) -> int:
@@ -193,11 +194,11 @@ def moves_of(connection: sa.Connection, season: int, entry: int | None = None) -
 
 def ledger_records(connection: sa.Connection) -> Iterator[LedgerRecord]:
     """Yield what the ledger records of all seasons, divisions and cups."""
-    for season in listed(connection):
+    for season in listed(connection, Season):
         yield from _records(season)
         for one in moves_of(connection, season.number):
             yield _moving(season.number, one)
-    for cup in cups_listed(connection):
+    for cup in listed(connection, Cup):
         yield from _records(cup)
 
 
@@ -230,12 +231,3 @@ def _records(one: Season | Cup) -> list[LedgerRecord]:
 def _moving(season: int, one: Move) -> LedgerRecord:
     subject = f"{season}/{one.round}/{one.entry}"
     return LedgerRecord("division", subject, [one.division, one.heat, one.reason])
-
-
-def cups_listed(connection: sa.Connection) -> list[Cup]:
-    """Return all cups, the first one first."""
-    columns = [column for column in cups.c if column is not cups.c.document]
-    return [
-        made_of(Cup, row, settings=json.loads(row.settings), hash=row.hash or "")
-        for row in connection.execute(sa.select(*columns).order_by(cups.c.number))
-    ]

@@ -104,7 +104,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         While a season under the present rules is running, that is a StoreError.
         """
         with self._writing(lock=True) as change:
-            season = next(iter(seasons.listed(change.connection)[::-1]), None)
+            season = next(iter(seasons.listed(change.connection, records.Season)[::-1]), None)
             if season is not None and season.ended_s is None and season.ruleset != ruleset.hash:
                 raise StoreError(
                     f"the season {season.name!r} is raced by the present rules to its end: end it "
