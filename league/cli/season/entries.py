@@ -25,11 +25,6 @@ ANCHORS = ("centerline", "racing_line", "cautious", "blocker")
 
 SAID = ("name", "owner", "id", "state", "near_copy_of")  # What is said of an entry.
 
-GIVEN = (
-    "laps", "cars", "solver", "sensors", "max_time_s", "variation", "rules", "obstacles", "format",
-)  # fmt: skip
-"""Flags of `league init` that are settings of the rules."""
-
 
 @dataclass
 class Init(OnLeague):
@@ -272,9 +267,10 @@ def _rules(command: Init) -> lazy.heat_spec.Ruleset:
             )
         tracks.append(track.name)
     try:
-        given = {name: getattr(command, name) for name in GIVEN}
+        rules = lazy.heat_spec.Ruleset
+        given = {name: vars(command)[name] for name in vars(command).keys() & vars(rules())}
         kind = "bot" if command.bots else "box"
-        return lazy.heat_spec.Ruleset(**given, tracks=tuple(tracks), obstacle_kind=kind)
+        return rules(**given, tracks=tuple(tracks), obstacle_kind=kind)
     except ValueError as error:
         raise ConfigError(f"these rules are not possible: {error}") from error
 

@@ -34,11 +34,6 @@ TOO_LATE_S = 2.0
 that whether an honest driver is late never depends on the machine."""
 JOB_LIMIT_S = 1800.0  # a heat that takes longer than this is stuck: its worker is ended [s]
 SHOWN_EVERY_S = 1.0  # a worker sends so often how far its heat has come [s]
-SPEC_FIELDS = (
-    "kind", "laps", "solver", "max_time_s", "rules", "obstacles", "obstacle_kind", "variation",
-    "format",
-)  # fmt: skip
-"""Settings that a ruleset and the spec of its races have in common."""
 _FUNCTIONS = (math.sin, math.cos, math.tan, math.asin, math.acos, math.atan, math.exp)
 
 
@@ -134,7 +129,7 @@ class RaceWorker:
         yield HeatReport(job.key, outcome, "", perf_counter() - start, race_s)
 
     def _race_job(self, job: HeatJob, half: Half, seed: int) -> RaceJob:
-        from league.race_spec import checked
+        from league.race_spec import RaceSpec, checked
         from league.racing import race
 
         rules, track = job.ruleset, self._track(half.track)
@@ -142,7 +137,7 @@ class RaceWorker:
         for driver in grid:
             weights = "" if driver.scripted else self._checkpoint(driver).digest
             entries.append({"name": driver.name, "digest": weights})
-        given = {name: getattr(rules, name) for name in SPEC_FIELDS}
+        given = {name: getattr(rules, name) for name in vars(rules).keys() & RaceSpec.model_fields}
         spec = checked({**given, "track": track.name, "seed": seed, "entries": entries})
         car = race.sim_config(spec).car
         drivers = [self._driver(one, track if one.scripted else None, car) for one in grid]
