@@ -131,6 +131,12 @@ def test_check_stops_a_call_that_does_not_come_back(tmp_path):
             assert not thread.is_alive(), "the loop still takes half of Python's time"
 
 
+def test_check_lets_a_file_load_a_large_library(tmp_path):
+    path = tmp_path / "mine.py"
+    path.write_text("import time\ntime.sleep(0.5)\ndef reward_function(params):\n    return 1.5\n")
+    assert check.check(path, time_limit_s=0.3).failures == ()
+
+
 @pytest.mark.parametrize(
     ("body", "keys", "unknown"),
     [

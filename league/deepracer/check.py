@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
+from league.deepracer import watchdog
 from league.deepracer.params import KEYS, Params, ParamsBuilder
 from league.deepracer.reward_file import Function, RewardFile
-from league.deepracer.watchdog import NOT_ITS_OWN, Stopped, stuck, throw
 from league.envs.actions import encode
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
@@ -105,7 +105,7 @@ class _Watched(dict[str, Any]):
 class _Trial(Future["Report"]):
     """What the thread that runs the user's code has found, and when its last call began."""
 
-    call_began = math.inf
+    call_began, loaded = math.inf, False
 
 
 def check(
@@ -113,7 +113,8 @@ def check(
 ) -> Report:
     """Try a reward file on scripted drives of one kind of race; None: of every kind.
 
-    RewardError if the file cannot be read or loaded, or a call takes more than `time_limit_s` [s].
+    RewardError if the file cannot be read or loaded, or a call takes more than `time_limit_s` [s];
+    loading may take longer, as in training, because it may import a large library.
     """
     source, trial = RewardFile.read(path), _Trial()
     recorded = [drive for drive in drives() if kind in (None, drive.kind)]
@@ -128,10 +129,11 @@ def check(
     thread.start()
     while not trial.done():
         thread.join(0.02)
-        if thread.is_alive() and time.monotonic() - trial.call_began > time_limit_s:
+        limit_s = time_limit_s if trial.loaded else watchdog.TIME_LIMIT_S
+        if thread.is_alive() and time.monotonic() - trial.call_began > limit_s:
             assert thread.ident is not None
-            error = stuck(str(source.path), thread.ident, time_limit_s)
-            throw(thread.ident, Stopped)
+            error = watchdog.stuck(str(source.path), thread.ident, limit_s)
+            watchdog.throw(thread.ident, watchdog.Stopped)
             raise error
     return trial.result()
 
@@ -140,6 +142,7 @@ def _report(source: RewardFile, recorded: Sequence[Drive], trial: _Trial) -> Rep
     read: set[str] = set()
     trial.call_began = time.monotonic()
     function = source.instance()
+    trial.call_began, trial.loaded = math.inf, True
     tried = tuple(_try(source, function, drive, read, trial) for drive in recorded)
     known = tuple(sorted(read.intersection(KEYS)))
     unknown = tuple(sorted(map(str, read.difference(KEYS))))
@@ -161,7 +164,7 @@ def _try(
         except RewardError as error:
             failure = str(error)
             break
-        except NOT_ITS_OWN:
+        except watchdog.NOT_ITS_OWN:
             raise
         except BaseException as error:
             failure = str(source.failed(error, when, params))

@@ -139,7 +139,7 @@ class RewardFile:
             return number
         raise RewardError(
             f"{self._place(function)} returned {brief(value)} ({when}): return a finite number, "
-            "best one of about 1"
+            "up to 3.4e38, best one of about 1"
         )
 
     def _place(self, function: object) -> str:
