@@ -105,6 +105,11 @@ def _check(command: Evaluate) -> None:
             "give one, or a folder",
         ),
         (
+            trace is not None and not trace.suffix and trace.is_file(),
+            f"--trace {trace} has no ending, so it means a folder, and {trace} is no folder: "
+            "give FILE.csv, or another folder",
+        ),
+        (
             replay.endswith(".race") and several,
             f"--replay {replay} was asked for {len(tracks)} tracks: give a folder, or one track",
         ),
