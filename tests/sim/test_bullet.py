@@ -167,7 +167,7 @@ def test_friction_between_cars_is_the_coefficient_times_what_presses_them_togeth
 
 
 @pytest.mark.parametrize(("gap", "touch"), [(2.0, False), (0.33, True)])
-def test_copy_goes_on_to_the_same_bits_unless_cars_touch(gap, touch):
+def test_copy_goes_on_to_the_same_bits_unless_cars_touch_or_have_turned(gap, touch):
     floor = Floor(settings(2)).put(x=[-gap, 0.0], y=[0.0, 0.03])
     floor.drive(15, speed=[2.0, 0.5])
     other = copy.deepcopy(floor)
@@ -175,6 +175,16 @@ def test_copy_goes_on_to_the_same_bits_unless_cars_touch(gap, touch):
     assert floor.notes["cars"].any() == touch
     assert all((one[name] == two[name]).all() for name in one.dtype.names) != touch
     assert np.abs(one["roll_rate"] - two["roll_rate"]).max() < 0.01
+
+
+@pytest.mark.parametrize("yaw", [0.5, 1.6, -2.5])
+def test_copy_of_a_turned_car_goes_on_nearly_alike(yaw):
+    floor = Floor(settings(1)).put(yaw=yaw, velocity_x=2 * math.cos(yaw))
+    floor.put(velocity_y=2 * math.sin(yaw)).drive(7, speed=[3.0])
+    other = copy.deepcopy(floor)
+    one, two = floor.drive(1, speed=[3.0]), other.drive(1, speed=[3.0])
+    for name in ("velocity_x", "velocity_y", "yaw_rate", "roll_rate", "pitch_rate"):
+        assert one[name] == pytest.approx(two[name], abs=0.002)
 
 
 def test_car_that_lands_on_another_stands_on_it_and_both_know():

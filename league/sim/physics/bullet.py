@@ -176,8 +176,9 @@ class BulletSolver:
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy or a pickle keeps: it gets simulations of its own.
 
-        These remember no contacts, from which Bullet begins its next solution: cars that touch go
-        on a little otherwise, all others to the same bits.
+        These remember no contacts, from which Bullet begins its next solution, and in their first
+        physics step bodies have the inertia of unturned ones. So a copy does not go on to the same
+        bits; docs/observations.md has the differences.
         """
         state = {**vars(self), "num_worlds": len(self._clients)}
         del state["_clients"], state["_stages"]
