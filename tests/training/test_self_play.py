@@ -61,7 +61,7 @@ def run(made: Curriculum, shares: np.ndarray, clean: float) -> dict[str, float]:
 
 
 def test_rivals_become_faster_while_attacks_succeed_and_slower_while_they_fail():
-    made = Curriculum(ROWS, ())
+    made = Curriculum(ROWS, {})
     run(made, np.array([0.0, 0.02]), 0.9)
     assert made.pace == self_play.FIRST_PACE  # the cars still learn to drive
     run(made, np.array([0.05, 0.1]), 0.9)
@@ -72,7 +72,7 @@ def test_rivals_become_faster_while_attacks_succeed_and_slower_while_they_fail()
 
 
 def test_rivals_stay_as_fast_between_the_two_thresholds():
-    made = Curriculum(ROWS, ())
+    made = Curriculum(ROWS, {})
     log = run(made, np.linspace(0.05, 0.2, 20), self_play.ENOUGH - 0.02)
     assert made.pace == self_play.FIRST_PACE
     assert log["/race/passed"] == pytest.approx(0.9)
@@ -90,26 +90,26 @@ def test_the_pace_sets_the_top_speeds_of_rivals_and_the_budget_the_price_of_hits
     assert worlds.cfg.reward == PRESETS["race"]
     made.curriculum.prepare(worlds, 0.9)
     last, first = worlds.cfg.reward, PRESETS["race"]
-    dear = {name: self_play.DEAR * getattr(first, name) for name in ("crash", "closing")}
+    dear = {name: 6.0 * getattr(first, name) for name in ("crash", "closing")}
     assert last == replace(first, **dear)
     # Hitting a car to pass it does not pay in the end.
     assert last.crash + last.overtake < 0.0
 
 
-def test_light_contacts_become_dear_for_a_policy_with_its_own_sensors_alone(small):
+def test_light_contacts_become_dearer_for_a_policy_with_its_own_sensors(small):
     made = make_racing(RING, small)
     assert isinstance(made, RacingLearner)
     first = PRESETS["race"]
-    for learner, dear in ((made, self_play.DEAR), (made.teacher, 1.0)):
+    for learner, dear in ((made, 6.0), (made.teacher, 2.0)):
         assert isinstance(learner, Racer | RacingLearner)
         learner.curriculum.prepare(learner.env.race_env, 0.9)
         weights = learner.env.race_env.cfg.reward
         assert weights.touch == dear * first.touch
-        assert weights.crash == self_play.DEAR * first.crash
+        assert weights.crash == 6.0 * first.crash
 
 
 def test_a_curriculum_is_resumed():
-    made, other = Curriculum(ROWS, ()), Curriculum(ROWS, ())
+    made, other = Curriculum(ROWS, {}), Curriculum(ROWS, {})
     run(made, np.linspace(0.05, 0.1, 9), 0.8)
     other.restore(made.state())
     assert other.state() == made.state()

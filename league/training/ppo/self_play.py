@@ -8,7 +8,7 @@ of the rivals follows success. docs/self_play.md has the measurements.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -30,7 +30,8 @@ SLACK = 0.1  # How far below that share rivals become slower.
 PACE_STEP = 2.5  # How much the rivals' largest top speed changes over a whole stage of success.
 FIRST_PACE, LEAST_PACE, RANGE = 0.70, 0.60, 0.12
 """Largest top speed of rivals at first and at least, and how far below it the smallest lies."""
-DEAR = 6.0  # Price of a hard contact at the end of a stage, in its first: more than a pass earns.
+DEAR = {"crash": 6.0, "closing": 6.0}
+"""How many times the price of a hard contact grows over a stage: to more than a pass earns."""
 SPREAD = 0.5  # Least randomisation of the cars; see TrainConfig.
 SCRIPTED = {"racing_line": 0.25, "centerline": 0.125, "cautious": 0.125, "blocker": 0.125}
 """Shares of the worlds in which scripted drivers have the last car. As being hit costs, too, cars
@@ -44,10 +45,10 @@ _KEPT = ("pace", "share", "attacks", "passed", "clean")  # what a curriculum's s
 class Curriculum:
     """Rivals as fast as can just be passed, and contacts that become dear, over one stage."""
 
-    def __init__(self, rows: int, dear: Sequence[str]) -> None:
+    def __init__(self, rows: int, dear: Mapping[str, float]) -> None:
         """Start with slow rivals and cheap contacts, for updates of so many decisions.
 
-        `dear` are the weights of the reward that grow.
+        `dear` are the weights of the reward that grow, and how many times over a stage.
         """
         self._rows, self._dear = rows, dear
         self.pace = FIRST_PACE  # largest top speed of rivals, as a share of the fastest car's
@@ -58,8 +59,11 @@ class Curriculum:
         assert worlds.cfg.scenarios is not None
         rivals = {"fastest_rival": self.pace, "slowest_rival": self.pace - RANGE}
         worlds.change_scenarios(replace(worlds.cfg.scenarios, **rivals))
-        first, grown = PRESETS["race"], 1.0 + (DEAR - 1.0) * min(share / 0.8, 1.0)
-        prices = {name: grown * getattr(first, name) for name in self._dear}
+        first, grown = PRESETS["race"], min(share / 0.8, 1.0)
+        prices = {
+            name: (1.0 + (dear - 1.0) * grown) * getattr(first, name)
+            for name, dear in self._dear.items()
+        }
         worlds.change_weights(replace(first, **prices))
 
     def add(self, update: UpdateRow, share: float) -> UpdateRow:
@@ -107,8 +111,7 @@ def scripted_drivers(tracks: TrackSet, num_worlds: int) -> list[Driver]:
 class _OnCurriculum(Learner):
     """A learner of all cars, among rivals as fast as it can pass."""
 
-    dear: tuple[str, ...] = ("crash", "closing")
-    """Weights that grow: a car that must not touch lightly either waits for mistakes."""
+    dear = DEAR  # A car that sees all and must not touch lightly waits for mistakes.
 
     def __init__(
         self,
@@ -140,13 +143,16 @@ class Racer(_OnCurriculum, Teacher):
     def __init__(self, tracks: TrackSet, cfg: TrainConfig) -> None:
         """Build worlds and networks, of settings that `TrainConfig.on_truth` returned."""
         self.groups = (*cfg.sensors.privileged, "motion")
+        if cfg.sensors.ahead:
+            # Cameras that learn from cars which touch lightly ride into others.
+            self.dear = DEAR | {"touch": 2.0}
         super().__init__(tracks, cfg)
 
 
 class RacingLearner(_OnCurriculum, TaughtLearner):
     """A learner with its own sensors, which learns to race from a Racer, and against itself."""
 
-    dear = ("crash", "closing", "touch")  # Its teacher has shown it how to pass.
+    dear = DEAR | {"touch": 6.0}  # Its teacher has shown it how to pass.
 
 
 def make_racing(tracks: TrackSet, cfg: TrainConfig, *, reward: Reward | None = None) -> Learner:
