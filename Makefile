@@ -7,7 +7,7 @@ export OMP_WAIT_POLICY = PASSIVE
 .PHONY: race league serve pages test coverage torchrl sync format check type bench mutants clean
 
 race: sync
-	$(BIN)/league race cautious racing_line blocker duelist --seed 11
+	$(BIN)/league race cautious racing_line blocker duelist --seed 18
 
 # A league in runs/league/: the garage and the scripted drivers, raced for about two minutes, longer on
 # a slow machine: a season that is over, with a cup of all of them, and one that is running. All

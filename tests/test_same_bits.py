@@ -26,7 +26,7 @@ RECORDED = {
     "boxes": "6a37e0ddcadea74d",
     "crowd": "5012b75e6d93271e",
     "meeting": "f5b78a4b166e30f2",
-    "policies": "71b8a0b01eb3830e",
+    "policies": "d82bfcbb68d0f598",
     "policy": "721d124fbadbb943",
     "race": "f0970a467f4b4893",
     "scripted_bullet": "c5f8a01b3a162569",
