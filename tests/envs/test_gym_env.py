@@ -158,26 +158,52 @@ def test_the_learner_may_start_from_any_place_on_the_grid():
     assert info["distance"] == pytest.approx(-1.5)  # two grid places of 0.75 m behind
 
 
+@pytest.mark.parametrize("mode", AutoresetMode)
 @pytest.mark.parametrize("name", IDS)
-def test_the_batch_equals_gymnasiums_own_vector_step_by_step(name):
+def test_the_batch_equals_gymnasiums_own_vector_step_by_step(name, mode):
     made = dict(num_envs=3, sensors=("lidar", CAMERA), max_steps=25)
-    batch = gymnasium.make_vec(name, **made)
-    loop = gymnasium.make_vec(name, vectorization_mode="sync", **made)
+    batch = gymnasium.make_vec(name, autoreset_mode=mode, **made)
+    loop = gymnasium.make_vec(
+        name, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, **made
+    )
     assert isinstance(batch, GymVectorEnv) and isinstance(loop, SyncVectorEnv)
-    assert batch.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    assert batch.metadata["autoreset_mode"] is mode
     assert batch.observation_space == loop.observation_space
     assert batch.action_space == loop.action_space
-    assert data_equivalence(batch.reset(seed=5), loop.reset(seed=5), exact=True)
+
+    def check_reset(seed=None, mask=None):
+        results = [
+            # A dict for each, because Gymnasium takes the mask out of it.
+            vector.reset(seed=seed, options=None if mask is None else {"reset_mask": mask})
+            for vector in (batch, loop)
+        ]
+        assert data_equivalence(*results, exact=True)
+        assert batch.np_random_seed == loop.np_random_seed
+
+    check_reset(seed=5)
+    assert batch.np_random_seed == (5, 6, 7)
     dice = np.random.default_rng(0)
-    ended = 0
+    ended = apart = 0
     for step in range(60):
         actions = dice.uniform(-1, 1, (3, 2)).astype(np.float32)
         result, expected = batch.step(actions), loop.step(actions)
         assert data_equivalence(result, expected, exact=True), step
-        ended += int((result[2] | result[3]).sum())
-    assert ended >= 6  # each at least twice
-    # Without a seed the row of races goes on, alike in both.
-    assert data_equivalence(batch.reset(), loop.reset(), exact=True)
+        done = result[2] | result[3]
+        ended += int(done.sum())
+        apart += done.any() and not done.all()
+        if done.any() and mode == AutoresetMode.DISABLED:
+            check_reset(mask=done)
+    assert ended >= 6 and apart  # each at least twice, and not all at once
+    # Seeds are those of the races that start again.
+    check_reset(seed=20, mask=np.array([True, False, True]))
+    check_reset(seed=[31, None, 33], mask=np.array([False, True, True]))
+    # Without a seed each row of races goes on, alike in both.
+    check_reset(mask=np.array([True, True, False]))
+    check_reset(seed=[None, 8, None])
+    check_reset()
+    assert [one.integers(99) for one in batch.np_random] == [
+        one.integers(99) for one in loop.np_random
+    ]
 
 
 def test_the_batch_equals_gymnasiums_own_vector_in_a_race_with_opponents():

@@ -95,39 +95,35 @@ class Seeds:
     """The generators from which a batch of races draws its seeds, as Gymnasium's own vectors do."""
 
     def __init__(self, num_envs: int) -> None:
-        self._num_envs = num_envs
-        self._generators: list[np.random.Generator] = []
-
-    @property
-    def begun(self) -> bool:
+        made = [np_random() for _ in range(num_envs)]
+        self.generators = [generator for generator, _ in made]
+        self.generator_seeds = [seed for _, seed in made]
+        self.begun = False
         """Whether `restart` was called."""
-        return bool(self._generators)
 
-    def restart(self, seed: int | Sequence[int | None] | None) -> list[int]:
-        """Return the seeds of all races.
+    def restart(self, seed: int | Sequence[int | None] | None, which: np.ndarray) -> list[int]:
+        """Return seeds for the races that restart; the others keep their generators, undrawn.
 
         `seed` is that of the first race, from which the next ones count up, or one for each; None
         goes on to other races.
         """
-        if seed is None and self._generators:
-            return self.draw(np.ones(self._num_envs, bool))
+        number = len(self.generators)
         if seed is None or isinstance(seed, str) or not isinstance(seed, Iterable):
             first = None if seed is None else make.checked_seed(seed)
-            seeds = [None if first is None else first + race for race in range(self._num_envs)]
+            seeds = [None if first is None else first + race for race in range(number)]
         else:
             seeds = [None if one is None else make.checked_seed(one) for one in seed]
-        if len(seeds) != self._num_envs:
-            raise ConfigError(f"{len(seeds)} seeds for {self._num_envs} races: give one for each")
-        kept = self._generators
-        self._generators = [
-            kept[race] if one is None and kept else np_random(one)[0]
-            for race, one in enumerate(seeds)
-        ]
-        return self.draw(np.ones(self._num_envs, bool))
+        if len(seeds) != number:
+            raise ConfigError(f"{len(seeds)} seeds for {number} races: give one for each")
+        for race, one in enumerate(seeds):
+            if one is not None and which[race]:
+                self.generators[race], self.generator_seeds[race] = np_random(one)
+        self.begun = True
+        return self.draw(which)
 
     def draw(self, which: np.ndarray) -> list[int]:
         """Return seeds for the races that restart; the others draw none."""
-        pairs = zip(self._generators, which, strict=True)
+        pairs = zip(self.generators, which, strict=True)
         return [make.draw_seed(generator) if over else 0 for generator, over in pairs]
 
 
@@ -288,15 +284,24 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
         """
         mask = None if options is None else options.get("reset_mask")
         if mask is None:
-            groups = self.learner.reset(self._seeds.restart(seed))
-            self._done[:] = False
-            return self._reader.read(groups), self._info(None)
-        mask = self._checked_mask(mask)
-        seeds = self._seeds.draw(mask) if seed is None else self._seeds.restart(seed)
-        self.learner.restart(mask, seeds)
-        self._done &= ~mask
-        groups = self.learner.env.observations[self.learner.car]
-        return self._reader.read(groups), self._info(None)
+            which = np.ones(self.num_envs, bool)
+            groups = self.learner.reset(self._seeds.restart(seed, which))
+        else:
+            which = self._checked_mask(mask)
+            self.learner.restart(which, self._seeds.restart(seed, which))
+            groups = self.learner.env.observations[self.learner.car]
+        self._done &= ~which
+        return self._reader.read(groups), spaces.masked(self.learner.infos.of_all(None), which)
+
+    @property
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore
+        """The generators from which the races draw their seeds, as in Gymnasium's own vectors."""
+        return tuple(self._seeds.generators)
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore
+        """The seeds of these generators."""
+        return tuple(self._seeds.generator_seeds)
 
     def _checked_mask(self, mask: object) -> np.ndarray:
         if not self._seeds.begun:
@@ -326,12 +331,15 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
         car = self.learner.car
         terminated, truncated = step.terminated[:, car] & ~ended, step.truncated[:, car] & ~ended
         rewards = np.where(ended, 0.0, step.rewards[:, car].astype(np.float64))
-        observations, info = self._reader.read(step.observations[car]), self._info(step, ended)
+        observations = self._reader.read(step.observations[car])
+        info = self.learner.infos.of_all(step)
+        if seeds is not None:
+            info = spaces.mixed(ended, self.learner.infos.of_all(None), info)
         done = terminated | truncated
-        if self.autoreset_mode != AutoresetMode.SAME_STEP:
-            self._done = done
-        elif done.any():
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and done.any():
             observations, info = self._restarted(done, observations, info)
+        else:
+            self._done, info = done, spaces.masked(info, np.ones(self.num_envs, bool))
         return observations, rewards, terminated, truncated, info
 
     def _restarted(
@@ -343,17 +351,11 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
             last[race] = {name: values[race] for name, values in final.items()}
         self.learner.restart(done, self._seeds.draw(done))
         begun = spaces.mixed(done, self.learner.infos.of_all(None), info)
-        ended = {"final_obs": last, "final_info": info}
+        ended = {"final_obs": last, "final_info": spaces.masked(info, done)}
         masks = {f"_{name}": done for name in ended}
         observations = self._reader.read(self.learner.env.observations[self.learner.car])
-        return observations, spaces.masked(begun, self.num_envs) | ended | masks
+        return observations, spaces.masked(begun, np.ones(self.num_envs, bool)) | ended | masks
 
     def close_extras(self, **kwargs: Any) -> None:  # noqa: ANN401
         """Close the physics engine."""
         self.learner.env.close()
-
-    def _info(self, step: Step | None, ended: np.ndarray | None = None) -> dict[str, Any]:
-        info = self.learner.infos.of_all(step)
-        if ended is not None and ended.any():
-            info = spaces.mixed(ended, self.learner.infos.of_all(None), info)
-        return spaces.masked(info, self.num_envs)

@@ -52,7 +52,8 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]  # without the extra
 
     def reset(self) -> dict[str, np.ndarray]:  # type: ignore
         """Start all races, by the seed given to `seed`, if any; return their observations."""
-        seeds = self._race_seeds.restart(self._seeds if self._seeds[0] is not None else None)
+        every = np.ones(self.num_envs, bool)
+        seeds = self._race_seeds.restart(self._seeds, every)
         self._reset_seeds()
         self._returns[:], self._lengths[:] = 0.0, 0
         return self._reader.read(self.learner.reset(seeds))

@@ -147,6 +147,12 @@ def mixed(where: np.ndarray, one: dict[str, Any], other: dict[str, Any]) -> dict
     return {name: np.where(where, value, other[name]) for name, value in one.items()}
 
 
-def masked(info: dict[str, Any], num_worlds: int) -> dict[str, Any]:
-    """Return an info with the masks of Gymnasium's vectors: `_name` says where `name` is known."""
-    return info | {f"_{name}": np.ones(num_worlds, dtype=bool) for name in info}
+def masked(info: dict[str, Any], known: np.ndarray) -> dict[str, Any]:
+    """Return an info with the masks of Gymnasium's vectors: `_name` says where `name` is known.
+
+    The info's own arrays are set to 0 elsewhere; `known` is bool, (num_worlds,).
+    """
+    if not known.all():
+        for values in info.values():
+            values[~known] = 0
+    return info | {f"_{name}": known.copy() for name in info}
