@@ -133,7 +133,8 @@ def real_numbers(
 
 
 def _readable(numbers: np.ndarray) -> str:
-    return brief(np.round(numbers.astype(np.float64), 6).tolist())
+    # As few digits as tell a number from the next in single precision.
+    return brief([float(str(number)) for number in numbers])
 
 
 def of_agents(

@@ -35,7 +35,8 @@ def test_two_numbers_from_minus_one_to_one_are_an_action(action):
     [
         ([np.nan, 0], "must be numbers from -1 to 1"),
         ([np.inf, 0], "must be numbers from -1 to 1"),
-        ([1.01, 0], "must be numbers from -1 to 1"),
+        ([1.01, 0], r"is \[1.01, 0.0\]: steering and speed must be numbers from -1 to 1"),
+        ([0.3, 1.0000001], r"is \[0.3, 1.0000001\]: steering and speed must be"),
         ([0, 1e300], "must be numbers from -1 to 1"),
         ([0], r"has shape \(1,\): expected \(2,\)"),
         ([[0, 0]], r"has shape \(1, 2\): expected \(2,\)"),
