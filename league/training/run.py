@@ -13,6 +13,7 @@ from league.agents.checkpoint import Card, Checkpoint, RewardCard
 from league.agents.policy import Policy
 from league.atomic_file import replacing
 from league.envs import rewards
+from league.envs.adapters.rsl_vec_env import checked_device
 from league.envs.rewards import Reward
 from league.errors import ConfigError, LeagueError, PolicyError, brief, explaining, first_problem
 from league.racing import duels, trace
@@ -25,7 +26,7 @@ from league.training.config import RunConfig
 from league.training.evaluator import EvalConfig, EvalResult, Evaluator
 from league.training.monitor.history import TrainingCallback, TrainingHistory, UpdateRow
 from league.training.ppo import distributed, make_env
-from league.training.ppo.learner import check_device, make_learner, memory_explained
+from league.training.ppo.learner import make_learner, memory_explained
 from league.training.ppo.self_play import RacingLearner, make_racing
 from league.training.ppo.teacher import make_taught
 
@@ -71,7 +72,7 @@ class Run:
         self._check_card()
         # Each rank its own device, before any is touched.
         self.train = train = replace(cfg.train, device=distributed.device(cfg.train.device))
-        check_device(train.device)
+        checked_device(train.device)
         if cfg.self_play and distributed.count() > 1:
             raise ConfigError(
                 f"self-play learns in one process, and torchrun has started {distributed.count()}: "

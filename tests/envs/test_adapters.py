@@ -78,7 +78,9 @@ def test_settings_of_the_world_that_are_none_are_refused(make_env):
         (RacingVecEnv, {"seed": -1}, "seed is -1: give a whole number, 0 or more"),
         (RacingVecEnv, {"learners": 0}, "learners is 0: give the cars that learn"),
         (RacingVecEnv, {"action_space": 5}, "action_space is 5: give ContinuousActions"),
-        (RacingVecEnv, {"device": "gpu7"}, "device is 'gpu7': give cpu or cuda"),
+        (RacingVecEnv, {"device": "gpu7"}, "on the device 'gpu7': give cpu, or cuda where"),
+        (RacingVecEnv, {"device": "cuda:99"}, "on the device 'cuda:99': give cpu, or cuda where"),
+        (RacingVecEnv, {"device": None}, "on the device None: give cpu, or cuda where"),
     ],
 )
 def test_a_setting_of_a_wrong_type_is_refused_with_a_sentence(make_env, settings, sentence):

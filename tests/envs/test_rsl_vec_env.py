@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from league.envs.actions import ActionSpace, ContinuousActions, DiscreteActions, grid
-from league.envs.adapters.rsl_vec_env import RacingVecEnv
+from league.envs.adapters.rsl_vec_env import RacingVecEnv, checked_device
 from league.envs.config import EnvConfig, RewardConfig
 from league.errors import ActionError, ConfigError, PolicyError
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig, SimConfig
@@ -183,6 +183,16 @@ def test_opponents_may_be_named():
 def test_a_field_that_cannot_be_is_refused(settings, sentence):
     with pytest.raises(ConfigError, match=sentence):
         build(1, **settings)
+
+
+@pytest.mark.parametrize("name", ["meta", "cuda:99", "hpu", "xla", "abacus", "", "cpu:-1"])
+def test_a_device_that_does_not_compute_is_refused_and_those_that_do_are_named(name):
+    with pytest.raises(ConfigError, match=rf"on the device '{name}': give cpu, or .* here: cpu"):
+        checked_device(name)
+
+
+def test_the_cpu_computes():
+    assert checked_device("cpu") == torch.device("cpu")
 
 
 def test_one_driver_object_cannot_drive_two_cars():

@@ -10,9 +10,9 @@ import torch
 
 from league.agents.network import from_learner
 from league.envs.actions import ContinuousActions
-from league.errors import ConfigError, PolicyError
+from league.errors import PolicyError
 from league.sim.config import SensorConfig
-from league.training.ppo.learner import Learner, check_device
+from league.training.ppo.learner import Learner
 from league.training.ppo.models import CONTRAST, FIRST, with_contrast
 from tests.training.learners import CHOICES, LIDAR, algorithm, learner, same, settings
 
@@ -314,16 +314,6 @@ def test_on_a_card_convolutions_learn_the_same_each_time_and_in_full_precision(m
     monkeypatch.setattr(Learner, "_on_gpu", property(lambda _: True))
     learner()
     assert (cudnn.deterministic, cudnn.allow_tf32) == (True, False)
-
-
-@pytest.mark.parametrize("name", ["meta", "cuda:99", "hpu", "xla", "abacus", "", "cpu:-1"])
-def test_a_device_that_does_not_compute_is_refused_and_those_that_do_are_named(name):
-    with pytest.raises(ConfigError, match=rf"on the device '{name}': give cpu, or .* here: cpu"):
-        check_device(name)
-
-
-def test_the_cpu_computes():
-    check_device("cpu")
 
 
 def test_an_update_tells_what_charts_of_rsl_rl_show():

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
 from typing import Any, Unpack
@@ -34,11 +35,20 @@ def casts_rays(device: torch.device) -> bool:
     return device.type == "cuda" and find_spec("numba_cuda") is not None
 
 
-def _device(name: str) -> torch.device:
-    try:
-        return torch.device(name)
-    except (RuntimeError, TypeError) as error:
-        raise ConfigError(f"device is {brief(name)}: give cpu or cuda") from error
+def checked_device(name: str) -> torch.device:
+    """Return a device that computes; ConfigError if it does not, or there is none of that name."""
+    with suppress(RuntimeError, TypeError, AssertionError, ImportError):
+        device = torch.device(name)
+        # Read back, because `meta` takes tensors and has nothing inside them.
+        if float(torch.ones(1, device=device).sum()) == 1.0:
+            return device
+    found = ["cpu"]
+    if (kind := torch.accelerator.current_accelerator(check_available=True)) is not None:
+        found += [f"{kind.type}:{number}" for number in range(torch.accelerator.device_count())]
+    raise ConfigError(
+        f"this machine's torch cannot compute on the device {brief(name)}: give cpu, or cuda "
+        f"where there is such a card and a torch that supports it; found here: {', '.join(found)}"
+    )
 
 
 class RacingVecEnv(VecEnv):
@@ -138,7 +148,7 @@ class RacingVecEnv(VecEnv):
         self.learners = tuple(learners)
         carried = [by_car[car].sensors if car in by_car else cfg.sensors_of(car) for car in cars]
         self.cfg: EnvConfig = replace(cfg, sensors=tuple(carried))  # type: ignore
-        self.device = _device(device)
+        self.device = checked_device(device)
         self._gpu_camera, renderers = None, None
         camera = self.cfg.sensors_of(self.learners[0]).camera
         if camera is not None and casts_rays(self.device):

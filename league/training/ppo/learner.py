@@ -326,25 +326,6 @@ def make_learner(tracks: TrackSet, cfg: TrainConfig, **settings: Any) -> Learner
     return Learner(make_env.make(tracks, cfg, **settings), cfg)
 
 
-def check_device(name: str) -> None:
-    """Check that a device computes; ConfigError if it does not, or there is none of that name."""
-    try:
-        # Read back, because `meta` takes tensors and has nothing inside them.
-        result = float(torch.ones(1, device=name).sum())
-    except (RuntimeError, AssertionError, ImportError):
-        result = None
-    if result == 1.0:
-        return
-    devices = ["cpu"]
-    if (kind := torch.accelerator.current_accelerator(check_available=True)) is not None:
-        devices += [f"{kind.type}:{number}" for number in range(torch.accelerator.device_count())]
-    raise ConfigError(
-        f"this machine's torch cannot compute on the device {brief(name)}: give cpu, or cuda "
-        "where there is such a card and a torch that supports it; found here: "
-        f"{', '.join(devices)}"
-    )
-
-
 @contextlib.contextmanager
 def memory_explained() -> Generator[None]:
     """Report a GPU's full memory in a sentence; ConfigError if it is full."""
