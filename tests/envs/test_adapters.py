@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import sys
 
 import gymnasium
 import numpy as np
@@ -86,6 +87,16 @@ def test_settings_of_the_world_that_are_none_are_refused(make_env):
 def test_a_setting_of_a_wrong_type_is_refused_with_a_sentence(make_env, settings, sentence):
     with pytest.raises(ConfigError, match=sentence):
         make_env(track="reinvent_2018", sensors=(), **settings)
+
+
+def test_stable_baselines3_is_asked_for_in_one_sentence_where_it_is_missing(monkeypatch):
+    for name in [*sys.modules]:
+        if name.startswith(("stable_baselines3.", "league.envs.adapters.sb3_vec_env")):
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)  # as if it could not be imported
+    sentence = r'needs Stable-Baselines3, .* \(.*\): run pip install "racing-league\[clients\]"$'
+    with pytest.raises(ImportError, match=sentence):
+        from league.envs import SB3VecEnv  # noqa: F401
 
 
 def test_numpys_whole_numbers_are_counts():

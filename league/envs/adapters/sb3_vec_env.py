@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import Any, Unpack
 
 import numpy as np
-from stable_baselines3.common.vec_env import VecEnv  # pyright: ignore[reportMissingImports]
 
 from league.envs import make
 from league.envs.actions import checked
@@ -16,6 +15,15 @@ from league.envs.make import EnvOptions
 from league.errors import ActionError, ConfigError
 from league.sim.config import RaceKind
 from league.track.track import Track, TrackSet
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv  # pyright: ignore[reportMissingImports]
+except ModuleNotFoundError as missing:
+    raise ModuleNotFoundError(
+        f"SB3VecEnv needs Stable-Baselines3, which cannot be imported ({missing}): "
+        'run pip install "racing-league[clients]"',
+        name=missing.name,
+    ) from missing
 
 
 class SB3VecEnv(VecEnv):  # type: ignore[misc]  # without the extra
