@@ -150,6 +150,19 @@ def check_options(options: Iterable[str], function: Callable[..., object]) -> No
         raise ConfigError(f"there is no option {min(unknown)!r}; {near}")
 
 
+def set_longest(options: EnvOptions, name: str, steps: int | None) -> None:
+    """Set the option max_steps by a framework's own name for it; ConfigError if they differ."""
+    if steps is None:
+        return
+    check_whole(name, steps, 1)
+    if options.get("max_steps") not in (None, steps):
+        raise ConfigError(
+            f"{name} is {steps} and max_steps {options.get('max_steps')}, but both "
+            "are the longest episode: give one of them"
+        )
+    options["max_steps"] = steps
+
+
 def weights(reward: RewardConfig | Reward | str | os.PathLike[str] | None) -> RewardConfig:
     """Return the weights of the built-in terms; ConfigError for an unknown name."""
     if isinstance(reward, RewardConfig):

@@ -82,6 +82,16 @@ def test_settings_of_the_world_that_are_none_are_refused(make_env):
         (RacingVecEnv, {"device": "gpu7"}, "on the device 'gpu7': give cpu, or cuda where"),
         (RacingVecEnv, {"device": "cuda:99"}, "on the device 'cuda:99': give cpu, or cuda where"),
         (RacingVecEnv, {"device": None}, "on the device None: give cpu, or cuda where"),
+        (
+            parallel_env,
+            {"max_cycles": 5, "max_steps": 9},
+            "max_cycles is 5 and max_steps 9, but both are the longest episode: give one of them",
+        ),
+        (
+            GymVectorEnv,
+            {"max_episode_steps": 5, "max_steps": 9},
+            "max_episode_steps is 5 and max_steps 9, but both are the longest episode: give one",
+        ),
     ],
 )
 def test_a_setting_of_a_wrong_type_is_refused_with_a_sentence(make_env, settings, sentence):

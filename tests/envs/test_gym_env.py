@@ -233,7 +233,9 @@ def test_gymnasium_may_run_the_races_in_processes_of_their_own():
 
 
 def test_a_batch_takes_gymnasiums_name_for_the_longest_episode():
-    batch = gymnasium.make_vec("league/TimeTrial-v0", 2, sensors=(), max_episode_steps=2)
+    batch = gymnasium.make_vec(
+        "league/TimeTrial-v0", 2, sensors=(), max_episode_steps=2, max_steps=2
+    )
     batch.reset(seed=0)
     assert [batch.step(np.zeros((2, 2)))[3].tolist() for _ in range(2)] == [[False] * 2, [True] * 2]
 

@@ -249,9 +249,7 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
                 "vectorization_mode='sync'"
             )
         make.check_options(options, GymVectorEnv.__init__)
-        if max_episode_steps is not None:
-            make.check_whole("max_episode_steps", max_episode_steps, 1)
-            options.setdefault("max_steps", max_episode_steps)
+        make.set_longest(options, "max_episode_steps", max_episode_steps)
         self.learner = LearnerEnv(
             track, kind, sensors, num_worlds=num_envs, car=car, opponents=opponents, **options
         )

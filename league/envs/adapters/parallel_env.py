@@ -15,7 +15,6 @@ from league.envs.adapters import load_reward, spaces
 from league.envs.adapters.rendering import EnvRenderer
 from league.envs.make import EnvOptions
 from league.envs.race_env import Observations, RaceEnv, Step
-from league.errors import ConfigError
 from league.track.track import Track
 
 Observation = dict[str, np.ndarray]
@@ -52,14 +51,7 @@ def parallel_env(
     """
     make.check_options(options, parallel_env)
     options.setdefault("solver", "bullet")
-    if max_cycles is not None:
-        make.check_whole("max_cycles", max_cycles, 1)
-        if options.get("max_steps") not in (None, max_cycles):
-            raise ConfigError(
-                f"max_cycles is {max_cycles} and max_steps {options.get('max_steps')}, but both "
-                "are the longest episode: give one of them"
-            )
-        options["max_steps"] = max_cycles
+    make.set_longest(options, "max_cycles", max_cycles)
     cfg = make.configure(kind=kind, num_cars=num_cars, sensors=sensors, restarting=(), **options)
     tracks = make.course(track)
     reward = load_reward(options.get("reward"), tracks, cfg, 1, range(cfg.sim.num_cars))
