@@ -283,6 +283,13 @@ def test_a_batch_refuses_a_mask_that_is_none(mask):
         batch.reset(options={"reset_mask": mask})
 
 
+@pytest.mark.parametrize("options", [3, "reset_mask", [True, False]])
+def test_a_batch_refuses_options_that_are_no_dict(options):
+    batch = GymVectorEnv(2, sensors=())
+    with pytest.raises(ConfigError, match=r"options is .*: give a dict, such as .*, or None"):
+        batch.reset(options=options)
+
+
 def test_a_batch_refuses_what_is_no_batch():
     with pytest.raises(ConfigError, match="num_envs is 0"):
         GymVectorEnv(0)

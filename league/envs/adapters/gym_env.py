@@ -280,6 +280,11 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
         goes on to other races. `options` may hold a `reset_mask`, bool (num_envs,), of the races
         to start; the others go on.
         """
+        if not isinstance(options, Mapping | None):
+            raise ConfigError(
+                f"options is {brief(options)}: give a dict, such as "
+                '{"reset_mask": ended}, or None'
+            )
         mask = None if options is None else options.get("reset_mask")
         if mask is None:
             which = np.ones(self.num_envs, bool)
