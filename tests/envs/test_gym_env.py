@@ -158,6 +158,12 @@ def test_the_learner_may_start_from_any_place_on_the_grid():
     assert info["distance"] == pytest.approx(-1.5)  # two grid places of 0.75 m behind
 
 
+def test_the_distance_on_pole_is_zero_without_a_sign():
+    for env in (GymEnv(mode="race", sensors=()), GymVectorEnv(2, mode="race", sensors=())):
+        distance = env.reset(seed=0)[1]["distance"]
+        assert not np.any(distance) and not np.any(np.signbit(distance))
+
+
 @pytest.mark.parametrize("mode", AutoresetMode)
 @pytest.mark.parametrize("name", IDS)
 def test_the_batch_equals_gymnasiums_own_vector_step_by_step(name, mode):

@@ -113,6 +113,7 @@ class Infos:
         cars, car, number = self._world.cars[:, self._car], self._car, self._env.num_worlds
         info: dict[str, Any] = {"time_s": self._env.time_s, "place": self._places() + 1}
         info |= {name: cars[name].astype(np.float64) for name in _LENGTHS}
+        info["distance"] += 0.0  # on pole it is -0.0
         info |= {name: cars[name].astype(np.int64) for name in _COUNTS}
         for name in FLAGS:
             flags = np.zeros(number, np.bool_) if step is None else step.verdicts[name][:, car]
@@ -130,6 +131,7 @@ class Infos:
             "place": self._places().item(0) + 1,
         }
         info.update(zip((*_LENGTHS, *_COUNTS), _CAR_FIELDS(world.cars.item(0, car)), strict=True))
+        info["distance"] += 0.0  # on pole it is -0.0
         if step is None:
             info.update(dict.fromkeys(FLAGS, False))
             info.update((key, 0.0) for key, _ in self._terms)
