@@ -49,6 +49,19 @@ def test_the_first_season_has_all_races_so_far_and_the_next_only_later_ones(leag
     assert set(table.races.heat.tolist()) == {11, 12, 13}
 
 
+def test_a_retired_entry_keeps_its_rank_until_the_next_season_begins(league):
+    race(league, 6)
+    best = next(row for row in standings.of(league).rows if not row.anchor)
+    league.move({best.id: "retired"})
+    row = standings.of(league).row(best.number)
+    assert (row.rank, row.state) == (best.rank, "retired")
+    trophies = league.frozen(seasons.end(league))["trophies"]
+    assert (trophies[0]["title"], trophies[0]["number"]) == ("Champion", best.number)
+    assert standings.of(league).row(best.number).rank == best.rank
+    seasons.start(league)
+    assert best.number not in standings.of(league).by_number
+
+
 def test_ending_a_league_without_seasons_ends_its_first_one(league):
     race(league, 6)
     assert seasons.end(league).name == "Season 1"

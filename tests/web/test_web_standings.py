@@ -175,6 +175,16 @@ def test_a_near_copy_is_marked_and_leads_to_the_original(pages, league):
     assert "≈: weights nearly those of an earlier driver" in page
 
 
+def test_a_retired_driver_is_marked(pages, league):
+    number, badge = rows(pages)[0]["number"], '<span class="badge">retired</span>'
+    assert badge not in pages.get("/standings").text
+    league.move({league.entries()[number - 1].id: "retired"})
+    with TestClient(make_app(league), base_url=ORIGIN) as pages:
+        page = pages.get("/standings").text
+    (line,) = (line for line in page.splitlines() if badge in line)
+    assert f'href="/drivers/{number}"' in line
+
+
 def test_an_answer_is_kept_until_something_happens(pages, league, monkeypatch):
     made, read = [], Page.read
 

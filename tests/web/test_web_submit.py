@@ -251,6 +251,7 @@ def test_an_owner_retires_a_driver_in_the_browser(store):
         path = f"/drivers/{number}/retire"
         assert f'href="{path}"' in client.get(f"/drivers/{number}").text
         assert "no way back" in client.get(path).text
+        assert "keeps its place in the standings, marked as retired" in client.get(path).text
         # A form has no data.
         assert ["page as JSON" in client.get(at).text for at in ("/", path)] == [True, False]
         answer = left(client, number, token=own, reason="too <slow>", sure="yes")
