@@ -219,6 +219,9 @@ def test_a_heat_is_shown_with_its_seeds_and_classification(printed):
     assert len(heat["seeds"]) == len(heat["results"]) == 2
     assert "Race 2 on reinvent_2018, seed" in printed("heat", number)
     assert printed("heat", heat["key"][:12]) == printed("heat", number)
+    alone = next(str(heat["number"]) for heat in heats if len(heat["races"]) == 1)
+    assert f"league view {number}   (the second race: --race 2)\n" in printed("heat", number)
+    assert printed("heat", alone).endswith(f"Watch it: league view {alone}\n")
 
 
 def test_a_race_of_the_league_can_be_watched(printed, tmp_path, capsys):
@@ -228,6 +231,9 @@ def test_a_race_of_the_league_can_be_watched(printed, tmp_path, capsys):
     assert path.stat().st_size > 100
     assert main(["view", str(path), "--race", "2"]) == 2
     assert "is one race: give --race with the number of a" in capsys.readouterr().err
+    waiting = str(json.loads(printed("heats", "--state", "planned", "--json"))[-1]["number"])
+    assert main(["view", waiting]) == 2
+    assert f"heat {waiting} has not been raced yet (planned)" in capsys.readouterr().err
     recording = tmp_path / "heat.rrd"
     printed("view", number, "--rrd", str(recording), "--no-cameras")
     assert recording.stat().st_size > 1000

@@ -426,6 +426,11 @@ def _recorded(command: View, path: Path) -> lazy.replay.Replay:
     with command.opened() as store:
         record = store.heat(name)
         kept = {result.half + 1: result.replay for result in store.results(record.number)}
+        if not kept:
+            raise ReplayError(
+                f"heat {record.number} has not been raced yet ({record.state}): there is a replay "
+                "once it is done"
+            )
         if not kept.get(race):
             there = ", ".join(str(race) for race, digest in sorted(kept.items()) if digest)
             raise ReplayError(

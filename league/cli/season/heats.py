@@ -118,8 +118,10 @@ class ShowHeat(Reading):
                 f"The results{of} differ, so none counts. `league retry {record.number}` has the "
                 "races run once more: the result that comes again is the one that counts."
             )
-        if record.state == "done" and any(result.replay for result in results):
-            print(f"Watch it: league view {record.number}   (the second race: --race 2)")
+        kept = {result.half for result in results if result.replay}
+        if record.state == "done" and kept:
+            second = "   (the second race: --race 2)" if 1 in kept else ""
+            print(f"Watch it: league view {record.number}{second}")
         if record.traceback:
             print(tables.spelled(record.traceback))
 
