@@ -424,6 +424,9 @@ def test_a_run_races_what_was_submitted_and_says_what_it_did(tmp_path, monkeypat
 
     checkpoint.save(tmp_path / "a.pt", make_checkpoint("blind", name="a"))
     assert main(["submit", str(tmp_path / "a.pt"), "--owner", "ann"]) == 0
+    assert "already" not in capsys.readouterr().out
+    assert main(["submit", str(tmp_path / "a.pt"), "--owner", "ann"]) == 0
+    assert "a by ann is entered already: entry" in capsys.readouterr().out
     assert main(["submit", str(tmp_path / "a.pt"), "--owner", "ann", "--name", "b"]) == 0
     assert "entered already, as a; b is not a new entry" in capsys.readouterr().out
     assert main(["run", "--workers", "1", "--heats", "3"]) == 0
@@ -438,6 +441,8 @@ def test_a_run_races_what_was_submitted_and_says_what_it_did(tmp_path, monkeypat
     assert main(["retire", "a", "--yes", "--reason", "tired"]) == 0
     assert "a is retired" in capsys.readouterr().out
     assert main(["retire", "a"]) == 0  # nothing is lost
+    assert main(["submit", str(tmp_path / "a.pt"), "--owner", "ann"]) == 2
+    assert "as a by ann, and retired: it cannot come back" in capsys.readouterr().err
 
 
 def test_upgrade_brings_an_older_league_up_to_date_and_makes_none(tmp_path, monkeypatch, capsys):

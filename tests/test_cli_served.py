@@ -77,6 +77,7 @@ def test_a_checkpoint_is_submitted_to_a_served_league_and_retired_there(store, s
         assert "cannot be downloaded" not in offered and store.entry("free").downloadable
         assert "'mine' cannot" not in said("retire", "Ann's car", "--yes", "--to", url)
         assert said("retire", "Ann's car", "--yes", "--to", url).endswith("retired already.\n")
+        assert "it cannot come back" in said("submit", "mine.pt", "--to", url, code=2)
         assert "only its owner's token" in said(
             "retire", "centerline", "--yes", "--to", url, code=2
         )
@@ -86,6 +87,9 @@ def test_a_checkpoint_is_submitted_to_a_served_league_and_retired_there(store, s
             asked.setattr("builtins.input", lambda question: "no")
             assert said("retire", "free", "--to", url, code=1) == "free stays as it is.\n"
         assert store.entry("free").state == "pending"
+        assert "already" not in said("submit", "free.pt", "--to", url)
+        store.move({store.entry("free").id: "validating"})
+        assert "free by ann is entered already: " in said("submit", "free.pt", "--to", url)
         assert "scripted driver" in said("submit", "cautious", "--to", url, code=2)
         assert "leave it out" in said("submit", "mine.pt", "--to", url, "--owner", "x", code=2)
         wrong = said("submit", "mine.pt", "--to", url, "--token", secret[:-1] + "!", code=2)

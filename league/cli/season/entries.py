@@ -16,7 +16,7 @@ from league import times
 from league.atomic_file import replacing
 from league.cli import lazy, season, tables
 from league.cli.season import OnLeague, OnServer, Reading
-from league.errors import ConfigError, PolicyError, nearest_names
+from league.errors import ConfigError, PolicyError, StoreError, nearest_names
 from league.flags import Unset
 from league.sim import PHYSICS
 
@@ -82,9 +82,15 @@ class Submit(OnServer):
         name = self.name or Path(self.driver).stem
         entered = self._sent(name) if self.to else self._entered(name)
         known, owner, id, state, model = (entered[key] for key in SAID)
+        if state == "retired":
+            raise StoreError(
+                f"this driver was entered as {known} by {owner}, and retired: it cannot come back, "
+                "submit another one"
+            )
         if known != name:
             print(f"These weights are entered already, as {known}; {name} is not a new entry.")
-        print(f"{known} by {owner}: entry {id[:12]}, {state}")
+        already = " is entered already" if known == name and not entered["new"] else ""
+        print(f"{known} by {owner}{already}: entry {id[:12]}, {state}")
         if model:
             print(f"Its weights are nearly those of {model}: it is labelled a near-copy.")
         if self.download and entered["downloadable"] is not True:
@@ -97,12 +103,14 @@ class Submit(OnServer):
         """Enter the driver here, and return what became of it."""
         owner = self.owner or getpass.getuser()
         with self.opened() as store:
+            before = {entry.id for entry in store.entries()}
             if self.driver not in lazy.roster.NAMES:
                 path = lazy.roster.checkpoint_path(self.driver)
                 entry = lazy.submission.submit(store, path, name, owner, download=self.download)
             else:
                 entry = store.submit(name, owner, scripted=self.driver, card={"name": name})
-        return {key: getattr(entry, key) for key in (*SAID, "downloadable")}
+        said = {key: getattr(entry, key) for key in (*SAID, "downloadable")}
+        return {**said, "new": entry.id not in before}
 
     def _sent(self, name: str) -> dict[str, Any]:
         """Send the driver to a served league, and return what became of it."""
@@ -112,7 +120,9 @@ class Submit(OnServer):
         sent = client.submit(_packed(self.driver), name, download=self.download)
         said = {key: tables.spelled(str(sent.get(key, ""))) for key in SAID}
         page = client.url + tables.spelled(str(sent.get("page", "")))
-        return {**said, "page": page, "downloadable": sent.get("downloadable")}
+        # The answer to a new entry and to a pending one is the same.
+        new = said["state"] == "pending"
+        return {**said, "page": page, "downloadable": sent.get("downloadable"), "new": new}
 
 
 @dataclass
