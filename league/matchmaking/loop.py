@@ -166,7 +166,7 @@ class Dispatcher:
         self._losses[report.key] += report.lost
         lost = report.lost and self._losses[report.key] <= MOST_LOSSES
         state = self._store.fail(self.name, report.key, report.traceback, lost=lost)
-        return FinishedHeat(running, report, state)
+        return FinishedHeat(running, replace(report, lost=lost), state)
 
 
 def heat_driver(store: HeatSource, entry: LeagueEntry) -> HeatDriver:
@@ -193,7 +193,7 @@ class Tally:
         """Count a heat that a worker has reported on."""
         self.worker_s += finished.report.wall_s
         if finished.report.outcome is None:
-            self.failures += 1
+            self.failures += not finished.report.lost
             self.errors += finished.became == "error"
             return
         self.heats += 1

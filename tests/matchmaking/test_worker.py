@@ -18,8 +18,9 @@ import numpy as np
 import psycopg
 import pytest
 
+from league.cli.season.run import describe
 from league.errors import StoreError
-from league.matchmaking.loop import MOST_LOSSES, Dispatcher, FinishedHeat, heat_driver
+from league.matchmaking.loop import MOST_LOSSES, Dispatcher, FinishedHeat, Tally, heat_driver
 from league.matchmaking.pairing import heat_spec, matchmaker
 from league.matchmaking.pairing.heat_spec import Half
 from league.matchmaking.store import HeatProgress, Store, create
@@ -283,8 +284,13 @@ def test_a_heat_whose_workers_are_killed_is_raced_again_within_reason(league):
     given = job(league, "centerline", "bob")
     league.plan([heat_spec.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.drivers))])
     dispatcher = Dispatcher(league, Killed())
-    assert {dispatcher.step(0.0)[0].became for _ in range(MOST_LOSSES + 2)} == {"planned"}
-    assert league.heat(1).attempts == 2
+    ended, tally = [dispatcher.step(0.0)[0] for _ in range(MOST_LOSSES + 2)], Tally()
+    assert {one.became for one in ended} == {"planned"}
+    for one in ended:
+        tally.add(one)
+    assert league.heat(1).attempts == tally.failures == 2
+    assert "bob: interrupted, will be tried again: killed" in describe(ended[0])
+    assert "bob: failed, will be tried again: killed" in describe(ended[-1])
     assert dispatcher.step(0.0)[0].became == "error"  # a race that always ends its worker
 
 

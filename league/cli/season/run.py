@@ -216,7 +216,8 @@ def describe(finished: lazy.loop.FinishedHeat) -> str:
         last = report.traceback.strip().splitlines()[-1:] or ["no reason given"]
         ends = {"error": "given up", "planned": "will be tried again"}
         end = ends.get(finished.became, "another worker has it")
-        return f"{start}: failed, {end}: {tables.spelled(last[0][:120])}"
+        how = "interrupted" if report.lost else "failed"
+        return f"{start}: {how}, {end}: {tables.spelled(last[0][:120])}"
     scores = " | ".join("-".join(map(str, one.places)) for one in report.outcome.races)
     note = "" if finished.became == "accepted" else f"  [{finished.became}]"
     return f"{start}: places {scores}  {report.race_s:.0f} s in {report.wall_s:.1f} s{note}"
