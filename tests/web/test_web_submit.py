@@ -59,6 +59,12 @@ def test_the_owner_follows_a_new_entry_on_its_page(store):
         assert "· pending ·" in live[: live.index("First races")]  # its state is renewed, too
         assert "data-live" in page and "/static/live.js" in page
         assert "First races" not in client.get("/drivers/1").text  # an anchor
+        assert "It first races itself and an anchor" in page
+    for state in ("validating", "placement"):
+        store.move({store.entry("Ann's car").id: state})
+    with served(store) as client:
+        page = client.get("/drivers/2").text
+    assert "It passed validation" in page and "It first races itself" not in page
 
 
 @pytest.mark.parametrize(
