@@ -1,5 +1,6 @@
 """Drivers by name or path: scripted ones, the policies that ship (the garage), checkpoints."""
 
+import os
 from pathlib import Path
 
 from league.agents.scripted import LineDriver, Style
@@ -102,6 +103,8 @@ def _file(name_or_path: str) -> str | None:
     shipped = garage()
     if name_or_path in shipped:
         return str(shipped[name_or_path])
+    if os.path.isfile(name_or_path):  # False for what no file can be called
+        raise PolicyError(f"{name_or_path!r} is a file: rename it, a checkpoint's name ends in .pt")
     raise PolicyError(
         f"there is no driver {name_or_path!r}; "
         f"{nearest_names(name_or_path, [*NAMES, *shipped])}; or give a checkpoint, FILE.pt"

@@ -27,6 +27,15 @@ def test_an_unknown_driver_is_refused_with_the_nearest_names():
         roster.load("racing_lime", one_track(), CarConfig())
 
 
+def test_a_file_with_another_ending_is_refused_with_the_right_one(tmp_path):
+    path = tmp_path / "racer.PT"
+    path.touch()
+    with pytest.raises(PolicyError, match=r"racer.PT' is a file: rename it, .* ends in \.pt"):
+        roster.check(str(path))
+    with pytest.raises(PolicyError, match="there is no driver"):
+        roster.check("x" * 5000)
+
+
 def test_a_missing_checkpoint_says_where_checkpoints_come_from():
     with pytest.raises(PolicyError, match="league train"):
         roster.load("runs/best.pt", one_track(), CarConfig())

@@ -152,6 +152,8 @@ def test_a_database_of_something_else_is_refused(tmp_path):
     [
         ("sqlite://", "names no file"),
         ("sqlite:///:memory:", "names no file"),
+        ("sqlite:///what?.db", "has a question mark in it"),
+        ("what?", "has a question mark in it"),
         ("mysql://host/db", "a league in mysql was asked for"),
         ("://", "is no address of a league"),
         ("sqlite:////", "is a folder|cannot be opened"),

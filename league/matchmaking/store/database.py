@@ -49,6 +49,8 @@ def address(url: str) -> URL:
             f"a league in {parsed.get_backend_name()} was asked for: "
             "give sqlite:///league.db or postgresql://..."
         )
+    if "?" in text:  # what follows would be parameters, and the file another one
+        raise StoreError(f"{brief(url)} has a question mark in it: give a file without one")
     if not parsed.database or parsed.database == ":memory:":
         raise StoreError(f"{brief(url)} names no file: give sqlite:///league.db")
     return parsed.set(drivername="sqlite")
