@@ -244,6 +244,7 @@ def test_an_audit_runs_heats_again_and_finds_that_they_agree(printed):
     text = printed("audit", "--sample", "1%", "--seed", "1", "--workers", "1")
     assert "1 heat was run again: 1 agree, 0 differ." in text
     assert waiting == json.loads(printed("heats", "--state", "planned", "--json", "--limit", "100"))
+    assert printed("audit", "--sample", "0%", code=2) == ""  # refused before anything is computed
 
 
 def test_an_audit_recomputes_all_races_whatever_is_run_again(printed, league, tmp_path):
@@ -383,6 +384,7 @@ def test_a_wrong_name_gives_the_nearest_ones(printed, capsys):
         (["h2h", "--top", "1"], "--top 1: give 2 or more"),
         (["compare", "ann", "ann"], "the same driver"),
         (["submit", "nobody"], "there is no driver 'nobody'"),
+        (["submit", "blocker", "--owner", ""], "an owner's name is ''"),
         (["export"], "nothing was named to export"),
         (["init"], "there is a league"),
         (["init", "--cars", "1"], "have 2 to 8"),

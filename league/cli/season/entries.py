@@ -73,7 +73,7 @@ class Submit(OnServer):
     driver: Annotated[Positional[str], arg(metavar="DRIVER")]
     """A checkpoint (FILE.pt), or the name of a driver (see `league drivers`)."""
     name: str = ""  # Name shown to people; by default the file's.
-    owner: str = ""
+    owner: Unset[str | None] = None
     """Its owner; by default your login name, and with --to the owner of the token. Entries of one
     owner do not meet."""
     download: bool = False  # Let everyone download the weights from the driver's page.
@@ -101,7 +101,7 @@ class Submit(OnServer):
 
     def _entered(self, name: str) -> dict[str, Any]:
         """Enter the driver here, and return what became of it."""
-        owner = self.owner or getpass.getuser()
+        owner = getpass.getuser() if self.owner is None else self.owner
         with self.opened() as store:
             before = {entry.id for entry in store.entries()}
             if self.driver not in lazy.roster.NAMES:
@@ -115,7 +115,7 @@ class Submit(OnServer):
     def _sent(self, name: str) -> dict[str, Any]:
         """Send the driver to a served league, and return what became of it."""
         client = self.client()
-        if self.owner:
+        if self.owner is not None:
             raise ConfigError("--owner with --to: the token says who the owner is, leave it out")
         sent = client.submit(_packed(self.driver), name, download=self.download)
         said = {key: tables.spelled(str(sent.get(key, ""))) for key in SAID}

@@ -168,6 +168,8 @@ class Audit(OnLeague):
         import numpy as np
 
         share = season.share(self.sample, "--sample")
+        if not share:
+            raise ConfigError(f"--sample {self.sample}: give more than 0%")
         with self.opened() as store:
             found = store.verify(self.head)
             for mismatch in found.mismatches:
