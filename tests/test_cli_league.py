@@ -387,7 +387,7 @@ def test_a_wrong_name_gives_the_nearest_ones(printed, capsys):
         (["submit", "blocker", "--owner", ""], "an owner's name is ''"),
         (["export"], "nothing was named to export"),
         (["init"], "there is a league"),
-        (["init", "--cars", "1"], "have 2 to 8"),
+        (["init", "--cars", "1"], "--cars 1: a league's races have 2 to 8 cars"),
         (["init", "--cars", "9"], "have 2 to 8"),
         (["init", "--anchors", "fast"], "no scripted driver 'fast'"),
     ],
@@ -445,6 +445,15 @@ def test_a_run_races_what_was_submitted_and_says_what_it_did(tmp_path, monkeypat
     assert main(["retire", "a"]) == 0  # nothing is lost
     assert main(["submit", str(tmp_path / "a.pt"), "--owner", "ann"]) == 2
     assert "as a by ann, and retired: it cannot come back" in capsys.readouterr().err
+
+
+def test_a_run_of_one_heat_says_so_in_the_singular(capsys):
+    from league.cli.season.run import _print_tally
+    from league.matchmaking.loop import Tally
+
+    _print_tally(Tally(heats=1, races=1, failures=1), "")
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith("1 heat, 1 race, ") and second.startswith("Failed tries: 1; heats")
 
 
 def test_upgrade_brings_an_older_league_up_to_date_and_makes_none(tmp_path, monkeypatch, capsys):

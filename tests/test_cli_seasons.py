@@ -51,7 +51,7 @@ def test_a_cup_is_begun_raced_and_shown(url, capsys):
     assert main(["cup"]) == 2
     assert "no cup yet: begin one with `league cup start`" in capsys.readouterr().err
     assert main(["cup", "start"]) == 2
-    assert "0 entries of this league are rated" in capsys.readouterr().err
+    assert "rated entrants, and this league has 0 for it" in capsys.readouterr().err
     assert main(["cup", "start", "May Cup", "--anchors"]) == 0
     assert "May Cup has begun with 3 entrants" in capsys.readouterr().out
     assert main(["cup"]) == 0

@@ -76,8 +76,8 @@ def start(store: Store, name: str = "", *, anchors: bool = False) -> Cup:
     entrants = [one.id for one in store.entries(RATED) if anchors or not one.anchor]
     if not LEAST <= len(entrants) <= MOST:
         raise StoreError(
-            f"a cup has {LEAST} to {MOST} entrants, and {len(entrants)} entries of this league "
-            "are rated: submit more and let them race, or let the anchors take part (--anchors)"
+            f"a cup has {LEAST} to {MOST} rated entrants, and this league has {len(entrants)} for "
+            "it: submit more and let them race, or let the anchors take part (--anchors)"
         )
     rules = store.settings.ruleset
     alone = replace(rules, kind="time_trial", cars=1, obstacles=0, format="standing")

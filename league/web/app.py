@@ -66,7 +66,7 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
     answers = Answers(reader)
     templates = rendering.environment()
     shown = {"clock": times.clock, "day": times.day, "time_of_day": times.time_of_day}
-    templates.filters |= shown | {"iso": _iso, "code": _code}
+    templates.filters |= shown | {"iso": _iso, "code": _code, "laps": times.laps}
     names: dict[str, Any] = {
         "league_name": store.settings.name,
         "static": lambda name: Markup(_static_bytes(name).decode()),

@@ -446,7 +446,8 @@ def paging(
     per_page = per_page or PER_PAGE
     pages = math.ceil(lines / per_page) or 1
     if page and page not in map(str, range(1, pages + 1)):
-        raise NotFoundError(f"The {what} have the pages 1 to {pages}.")
+        there = "one page" if pages == 1 else f"the pages 1 to {pages}"
+        raise NotFoundError(f"The {what} have {there}.")
     number = int(page or 1)
     pager: list[tuple[str, str]] = []
     for other in sorted({1, pages, *range(max(1, number - 2), min(pages, number + 2) + 1)}):

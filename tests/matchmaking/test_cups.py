@@ -135,7 +135,7 @@ def test_a_cup_needs_entrants_and_a_name_of_its_own(new_league):
     with pytest.raises(StoreError, match="no cup 'Sprung Cup' in this league"):
         cups.named(league, "Sprung Cup")
     league.move({league.entries()[0].id: "retired"})
-    with pytest.raises(StoreError, match="2 to 1024 entrants, and 1 entries"):
+    with pytest.raises(StoreError, match="2 to 1024 rated entrants, and this league has 1 for it"):
         cups.start(league, "Lonely Cup")
 
 

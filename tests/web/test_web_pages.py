@@ -24,7 +24,15 @@ from league.replay import format
 from league.web import server
 from league.web.app import make_app
 from league.web.replay_data import player_data
-from tests.web.small_league import NAME, ORIGIN, OWNER, RULES, new_league, rated_heat
+from tests.web.small_league import (
+    NAME,
+    ORIGIN,
+    OWNER,
+    RULES,
+    lapped_heat,
+    new_league,
+    rated_heat,
+)
 
 PAGES = (
     "/", "/standings", "/standings?against=3", "/drivers/1", "/drivers/3", "/matchups/1/3",
@@ -178,6 +186,20 @@ def test_what_is_not_there_is_404_in_one_sentence(client, path):
     else:
         assert "<h1>Not Found</h1>" in answer.text
     assert "content-security-policy" in answer.headers
+
+
+def test_one_lap_page_or_race_is_no_plural(client, store):
+    assert "1 lap, 2 cars" in client.get("/").text
+    assert "1 lap, 2 cars" in client.get("/standings").text
+    heat = lapped_heat(store)
+    alone = next(one.number for one in store.heats(("done",)) if len(one.heat.halves) == 1)
+    for path, sentence in (
+        ("/heats?page=9", "The heats have one page."),
+        (f"/heats/{heat}?lap=9", "This race has 1 lap, and no lap '9'."),
+        (f"/heats/{heat}?race=9", f"Heat {heat} has no race '9', only 1 and 2."),
+        (f"/heats/{alone}?race=9", f"Heat {alone} has no race '9', only 1."),
+    ):
+        assert client.get(f"/api/v1{path}").json() == {"error": sentence}
 
 
 @pytest.mark.parametrize("method", ["post", "put", "delete", "patch", "options"])

@@ -257,7 +257,7 @@ def _rules(command: Init) -> lazy.heat_spec.Ruleset:
 
     if not 2 <= command.cars <= MAX_CARS:
         raise ConfigError(
-            f"{command.cars} cars in a race: a league's races have 2 to {MAX_CARS}, give --cars 2"
+            f"--cars {command.cars}: a league's races have 2 to {MAX_CARS} cars, give --cars 2"
         )
     for names in (command.track, command.anchors):
         if len(set(names)) < len(names):

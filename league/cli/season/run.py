@@ -197,13 +197,14 @@ def _print_tally(tally: lazy.loop.Tally, over: str) -> None:
         return
     rate = tally.race_s / tally.worker_s if tally.worker_s else 0.0
     print(
-        f"{tally.heats} heats, {tally.races} races, {tally.race_s / 60:.1f} min of race time, "
-        f"{rate:.1f} x real time per worker"
+        f"{tables.counted(tally.heats, 'heat')}, {tables.counted(tally.races, 'race')}, "
+        f"{tally.race_s / 60:.1f} min of race time, {rate:.1f} x real time per worker"
     )
     if tally.failures or tally.quarantined:
         print(
-            f"{tally.failures} tries failed, {tally.errors} heats given up (`league heats --state "
-            f"error`), {tally.quarantined} in quarantine (`league heats --state quarantined`)"
+            f"Failed tries: {tally.failures}; heats given up: {tally.errors} (`league heats "
+            f"--state error`), in quarantine: {tally.quarantined} (`league heats --state "
+            "quarantined`)"
         )
 
 
@@ -261,9 +262,9 @@ class LivePage:
         wall_s = max(time.monotonic() - self._began, 1e-9)
         counts = self._store.counts()
         head = (
-            f"{self._store.settings.name}   {wall_s / 60:.1f} min   {tally.heats} heats, "
-            f"{60 * tally.heats / wall_s:.1f} a minute   {tally.race_s / wall_s:.1f} x real time   "
-            f"queue {counts.get('planned', 0)}"
+            f"{self._store.settings.name}   {wall_s / 60:.1f} min   "
+            f"{tables.counted(tally.heats, 'heat')}, {60 * tally.heats / wall_s:.1f} a minute   "
+            f"{tally.race_s / wall_s:.1f} x real time   queue {counts.get('planned', 0)}"
         )
         if tally.failures:
             head += f"   failed tries {tally.failures}"

@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from league import times
 from league.matchmaking.documents import heat_document
 from league.matchmaking.store import DoneHeat, HeatRecord, RaceOutcome, StoredResult
 from league.race_spec import RaceResult
@@ -181,7 +182,7 @@ def heat(reader: Reader, number: int, race: str = "", lap: str = "") -> Document
     laps_s = [one for car in order for one in car["lap_times_s"]]
     laps = max((len(car["lap_times_s"]) for car in order), default=0)
     if lap and lap not in map(str, range(1, laps + 1)):
-        raise NotFoundError(f"This race has the laps 1 to {laps}.")
+        raise NotFoundError(f"This race has {times.laps(laps)}, and no lap {lap[:20]!r}.")
     shown, replay = _summary(reader, at), at.replay
     names = [car["name"] for car in shown["cars"]]
     drawn = _drawn(reader, at)
@@ -260,7 +261,7 @@ def _race(reader: Reader, number: int, race: str) -> _Race:
     record = reader.record(number)
     valid = [str(half + 1) for half in range(len(record.heat.halves))]
     if (race or "1") not in valid:
-        raise NotFoundError(f"Heat {number} has the races {' and '.join(valid)}.")
+        raise NotFoundError(f"Heat {number} has no race {race[:20]!r}, only {' and '.join(valid)}.")
     half = int(race or "1") - 1
     results = reader.store.results(number)
     result = accepted(results, half)
