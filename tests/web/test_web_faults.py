@@ -66,9 +66,7 @@ def test_faults_of_one_step_share_its_penalty():
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_faults_of_all_laps_are_those_of_the_classification(seed):
-    entries = tuple(
-        Entry(name=name) for name in ("blocker", "centerline", "racing_line", "duelist")
-    )
+    entries = tuple(Entry(name=name) for name in ("blocker", "centerline", "racing_line", "racer"))
     spec = RaceSpec(
         entries=entries, kind="head_to_head", laps=2, max_time_s=40.0, solver="planar", seed=seed
     )
