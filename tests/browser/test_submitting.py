@@ -89,7 +89,8 @@ def test_the_form_keeps_its_input_and_enters_a_driver_without_javascript(
         assert page.get_by_label("Name").input_value() == "Ann's car"
         assert page.get_by_label("Token").input_value() == ""
         fill(page, secret, "Ann's car", packed)
-        assert page.url.endswith("/drivers/3") and page.get_by_label("First races").is_visible()
+        expect(page).to_have_url(re.compile(r"/drivers/3$"))
+        expect(page.get_by_label("First races")).to_be_visible()
         page.context.close()
     assert store.entry("Ann's car").owner == "ann"
 
