@@ -85,7 +85,7 @@ class RaceSpec(FrozenModel):
     @property
     def title(self) -> str:
         """Kind, track and laps for people, "time trial on reinvent_2018, 3 laps"."""
-        return f"{self.kind.replace('_', ' ')} on {self.track}, {times.laps(self.laps)}"
+        return f"{self.kind.replace('_', ' ')} on {self.track}, {times.counted(self.laps, 'lap')}"
 
     def laps_on(self, *, closed: bool) -> int:
         """Return how many laps are driven: on a track that is not closed, one."""

@@ -1,4 +1,4 @@
-"""Times and laps as people read them."""
+"""Times and counts as people read them."""
 
 from datetime import UTC, datetime
 
@@ -17,9 +17,13 @@ def duration(seconds: float) -> str:
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
 
 
-def laps(count: int) -> str:
-    """Return a number of laps in words."""
-    return f"{count} lap" if count == 1 else f"{count} laps"
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, in the plural unless it is 1."""
+    if number == 1:
+        return f"1 {noun}"
+    if noun.endswith("y"):
+        return f"{number} {noun[:-1]}ies"
+    return f"{number} {noun}{'es' if noun.endswith('ch') else 's'}"
 
 
 def day(seconds: float | None) -> str:

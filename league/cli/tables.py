@@ -106,9 +106,3 @@ def progress(disable: bool = False) -> Progress:
         transient=True,
         disable=disable,
     )
-
-
-def counted(number: int, noun: str) -> str:
-    """Return a number with its noun, in the plural unless it is 1; 0 is "no"."""
-    ending = "" if number == 1 else "es" if noun.endswith("ch") else "s"
-    return f"{number or 'no'} {noun}{ending}"

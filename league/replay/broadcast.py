@@ -306,7 +306,8 @@ def _is_said(event: Event, events: Sequence[Event]) -> bool:
 def _won(result: RaceResult) -> str:
     first, second = result.order[:2]
     if not first.finished:
-        return f"{first.name} comes first with {times.laps(first.laps)} and {first.distance:.1f} m"
+        laps = times.counted(first.laps, "lap")
+        return f"{first.name} comes first with {laps} and {first.distance:.1f} m"
     if result.spec.ranking == "total":
         return f"{first.name} wins, the only one to finish"
     return f"{first.name} wins by its {result.spec.ranking} lap time, before {second.name}"

@@ -46,7 +46,7 @@ class Live:
         self._director = Director(lap_m, length_of_race(spec, track))
         self._events = list[Event]()
         self._writer = SceneWriter(stream.recording, track, self._names, self._step_hz)
-        kind, laps = spec.kind.replace("_", " "), times.laps(spec.laps)
+        kind, laps = spec.kind.replace("_", " "), times.counted(spec.laps, "lap")
         self._title = f"# {track.title}\n\n**{kind}**, {laps}, live"
         self._shown = ""
 

@@ -149,13 +149,12 @@ def classification(replay: Replay) -> str:
     heads = ["| | driver | total | best lap | penalties |", "|---:|:---|---:|---:|---:|"]
     lines = [_head(replay), "", *heads]
     for car in result.order:
-        total = f"{car.total_s:.2f} s" if car.finished else times.laps(car.laps)
+        total = f"{car.total_s:.2f} s" if car.finished else times.counted(car.laps, "lap")
         best = f"{car.best_lap_s:.2f} s" if car.best_lap_s is not None else ""
         penalty = f"{car.penalty_s:g} s" if car.penalty_s else ""
         lines.append(f"| **{car.place}** | {escaped(car.name)} | {total} | {best} | {penalty} |")
     if result.lead_changes:
-        changes = "change" if result.lead_changes == 1 else "changes"
-        lines += ["", f"{result.lead_changes} {changes} of the lead"]
+        lines += ["", f"{times.counted(result.lead_changes, 'change')} of the lead"]
     return "\n".join(lines)
 
 
@@ -167,7 +166,7 @@ def running_order(head: str, names: Sequence[str], fight: str = "") -> str:
 
 def _head(replay: Replay) -> str:
     spec = replay.spec
-    kind, laps = spec.kind.replace("_", " "), times.laps(spec.laps)
+    kind, laps = spec.kind.replace("_", " "), times.counted(spec.laps, "lap")
     return f"**{replay.track.title}**: {kind}, {laps}, {spec.solver}, seed {spec.seed}"
 
 

@@ -65,8 +65,9 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
     reader, access = Reader(store), access or Access()
     answers = Answers(reader)
     templates = rendering.environment()
-    shown = {"clock": times.clock, "day": times.day, "time_of_day": times.time_of_day}
-    templates.filters |= shown | {"iso": _iso, "code": _code, "laps": times.laps}
+    filters: dict[str, Any] = templates.filters
+    filters |= {"clock": times.clock, "counted": times.counted, "day": times.day}
+    filters |= {"time_of_day": times.time_of_day, "iso": _iso, "code": _code}
     names: dict[str, Any] = {
         "league_name": store.settings.name,
         "static": lambda name: Markup(_static_bytes(name).decode()),

@@ -60,7 +60,7 @@ class Init(OnLeague):
         ) as store:
             lazy.matchmaker.enter_anchors(store, self.anchors)
             print(f"League {self.name!r}: {store.url}")
-        parts = [times.laps(rules.laps), f"{rules.cars} cars", *rules.tracks]
+        parts = [times.counted(rules.laps, "lap"), f"{rules.cars} cars", *rules.tracks]
         parts += [rules.format] if rules.format != "standing" else []
         print(f"Rules {rules.hash[:12]}: {', '.join(parts)}")
         print(f"Anchors: {', '.join(self.anchors) or 'none'}")
@@ -227,7 +227,7 @@ class Upgrade(OnLeague):
                 cancelled = league.set_ruleset(replace(rules, physics=PHYSICS))
                 print(
                     f"Races are driven with physics {PHYSICS} now, no longer {rules.physics}: "
-                    f"ratings begin again, and {cancelled} waiting heats are cancelled."
+                    f"ratings begin again. Cancelled: {times.counted(cancelled, 'waiting heat')}."
                 )
             print(f"The league in {league.url} is up to date.")
 

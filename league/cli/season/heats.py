@@ -176,7 +176,7 @@ class Audit(OnLeague):
                 print(tables.spelled(mismatch))
             print(
                 f"{found.races} races and {found.records} records of the ledger were recomputed: "
-                f"{tables.counted(len(found.mismatches), 'mismatch')}. Ledger's head: "
+                f"{times.counted(len(found.mismatches), 'mismatch')}. Ledger's head: "
                 f"{found.head[:16]}",
                 flush=True,
             )
@@ -368,7 +368,7 @@ class Compare(Reading):
         print(self._verdict(result, one.name, other.name))
         share, lead = f"{100 * result.score:.1f} %", _elo(result.elo)
         print(
-            f"{tables.counted(result.heats, 'heat')}, score {share}, lead {lead} Elo "
+            f"{times.counted(result.heats, 'heat')}, score {share}, lead {lead} Elo "
             f"({_elo(result.low95)} to {_elo(result.high95)}), LLR {result.llr:+.2f} "
             f"({result.lower:.2f} to {result.upper:.2f})"
         )
@@ -382,7 +382,7 @@ class Compare(Reading):
             verdict = f"No, {other} is not better than {one} by {lead}."
             return f"{verdict} (Chance of a wrong no: {chance}.)"
         return (
-            f"Not decided after {tables.counted(result.heats, 'heat')}: whether {other} is better "
+            f"Not decided after {times.counted(result.heats, 'heat')}: whether {other} is better "
             f"than {one}. More heats may decide: --heats {4 * self.heats}"
         )
 

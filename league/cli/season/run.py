@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from league import times
 from league.cli import lazy, season, tables
 from league.cli.season import OnLeague, OnServer
 from league.errors import ConfigError, LeagueError
@@ -197,7 +198,7 @@ def _print_tally(tally: lazy.loop.Tally, over: str) -> None:
         return
     rate = tally.race_s / tally.worker_s if tally.worker_s else 0.0
     print(
-        f"{tables.counted(tally.heats, 'heat')}, {tables.counted(tally.races, 'race')}, "
+        f"{times.counted(tally.heats, 'heat')}, {times.counted(tally.races, 'race')}, "
         f"{tally.race_s / 60:.1f} min of race time, {rate:.1f} x real time per worker"
     )
     if tally.failures or tally.quarantined:
@@ -263,7 +264,7 @@ class LivePage:
         counts = self._store.counts()
         head = (
             f"{self._store.settings.name}   {wall_s / 60:.1f} min   "
-            f"{tables.counted(tally.heats, 'heat')}, {60 * tally.heats / wall_s:.1f} a minute   "
+            f"{times.counted(tally.heats, 'heat')}, {60 * tally.heats / wall_s:.1f} a minute   "
             f"{tally.race_s / wall_s:.1f} x real time   queue {counts.get('planned', 0)}"
         )
         if tally.failures:

@@ -182,7 +182,7 @@ def heat(reader: Reader, number: int, race: str = "", lap: str = "") -> Document
     laps_s = [one for car in order for one in car["lap_times_s"]]
     laps = max((len(car["lap_times_s"]) for car in order), default=0)
     if lap and lap not in map(str, range(1, laps + 1)):
-        raise NotFoundError(f"This race has {times.laps(laps)}, and no lap {lap[:20]!r}.")
+        raise NotFoundError(f"This race has {times.counted(laps, 'lap')}, and no lap {lap[:20]!r}.")
     shown, replay = _summary(reader, at), at.replay
     names = [car["name"] for car in shown["cars"]]
     drawn = _drawn(reader, at)
