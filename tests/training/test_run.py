@@ -16,7 +16,7 @@ from league.racing.duels import Duels, Threshold
 from league.racing.evaluate import evaluate
 from league.training import evaluator
 from league.training import run as run_room
-from league.training.config import TrainConfig, read
+from league.training.config import RunConfig, TrainConfig, read
 from league.training.evaluator import merit_of
 from league.training.monitor import history
 from league.training.monitor.history import TEACHING
@@ -382,19 +382,27 @@ def test_reward_function_that_raises_at_once_leaves_no_checkpoint(tmp_path):
     assert not (tmp_path / "run" / "last.pt").exists()
 
 
+def eight(reward: str = "centerline", **changes) -> RunConfig:
+    """Return settings of a run of eight updates."""
+    return small.cfg(updates=8, reward=reward, train=small.train(**changes))
+
+
 @pytest.mark.parametrize(
-    ("changes", "reward"),
+    "asked",
     [
-        ({}, "centerline"),
-        ({"sensors": small.CAMERA}, "centerline"),
+        eight(),
+        eight(sensors=small.CAMERA),
         # Killed while it learns from its teacher, and while the teacher learns.
-        ({"sensors": small.CAMERA, "teacher": 0.3}, "centerline"),
-        ({"sensors": small.CAMERA, "teacher": 0.6}, "racing_line"),
-        ({"teacher": 0.3, "action_space": CHOICES}, str(EXAMPLES / "reward_centerline.py")),
+        eight(sensors=small.CAMERA, teacher=0.3),
+        eight("racing_line", sensors=small.CAMERA, teacher=0.6),
+        eight(str(EXAMPLES / "reward_centerline.py"), teacher=0.3, action_space=CHOICES),
+        # Self-play, in which seven cars learn: while it learns from the racer, and while the racer
+        # learns, which has save points of its own.
+        replace(racing(sensors=small.CAMERA, teacher=0.3), steps=8 * 7 * 8),
+        replace(racing(sensors=small.CAMERA, teacher=0.8, save_every=1), steps=8 * 7 * 8),
     ],
 )
-def test_resumed_run_equals_an_uninterrupted_one(tmp_path, changes, reward):
-    asked = small.cfg(updates=8, reward=reward, train=small.train(**changes))
+def test_resumed_run_equals_an_uninterrupted_one(tmp_path, small_racer, asked):
     small.run(tmp_path / "whole", asked).learn()
     # Killed after the fifth update: what the fourth left on the disk is all there is.
     killed = small.run(tmp_path / "parts", asked)
@@ -413,7 +421,7 @@ def test_resumed_run_equals_an_uninterrupted_one(tmp_path, changes, reward):
     again.resume()
     assert again.learner.updates == 4
     outcome = again.learn()
-    assert outcome.samples == 8 * small.SAMPLES
+    assert outcome.samples == asked.steps
     for name in ("last.pt", "best.pt"):
         assert small.equal(tmp_path / "whole" / name, tmp_path / "parts" / name)
     histories = [history.read(tmp_path / part / "history.jsonl") for part in ("whole", "parts")]

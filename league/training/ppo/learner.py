@@ -127,9 +127,10 @@ class Learner:
         self.updates += 1
         self.samples += distributed.count() * self.env.num_envs * self.cfg.ppo.rollout
         self._averaged += 1
-        share = 1.0 / min(max(self._averaged / 10.0, 1.0), AVERAGED)
+        newest = 1.0 / min(max(self._averaged / 10.0, 1.0), AVERAGED)
         for name, value in self._learnt().items():
-            self._average[name].lerp_(value, share)
+            self._average[name].lerp_(value, newest)
+        log = self._adapted(log, share)
         if self.at_save_point:
             self.restart_rows()
         completion = self._episodes.completion
@@ -148,6 +149,10 @@ class Learner:
             mean_std=float(self._alg.get_policy().output_std.detach().mean()),
             episode_steps=self._episodes.steps,
         )
+
+    def _adapted(self, log: dict[str, float], share: float) -> dict[str, float]:
+        """Return the log of an update; what follows success changes here, before rows restart."""
+        return log
 
     @property
     def at_save_point(self) -> bool:

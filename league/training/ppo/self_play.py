@@ -66,10 +66,10 @@ class Curriculum:
         }
         worlds.change_weights(replace(first, **prices))
 
-    def add(self, update: UpdateRow, share: float) -> UpdateRow:
-        """Move the rivals' pace after an update; return it with the shares of lately in its log."""
+    def add(self, log: Mapping[str, float], share: float) -> dict[str, float]:
+        """Move the rivals' pace after an update; return its log with the shares of lately."""
         attacks, passed, clean = (
-            self._rows * update.log[f"/race/{name}"] for name in ("attacks", "passed", "clean")
+            self._rows * log[f"/race/{name}"] for name in ("attacks", "passed", "clean")
         )
         kept = 0.5 ** (attacks / _LATELY)
         self.attacks = kept * self.attacks + attacks
@@ -82,9 +82,9 @@ class Curriculum:
             self.pace = min(self.pace + step, 1.0)
         elif share > WARM_UP and succeeded < ENOUGH - SLACK:
             self.pace = max(self.pace - step, LEAST_PACE)
-        shares = {"clean": succeeded, "passed": self.passed / max(self.attacks, 1.0)}
-        log = {f"/race/{name}": value for name, value in {"pace": self.pace, **shares}.items()}
-        return replace(update, log=update.log | log)
+        passes = self.passed / max(self.attacks, 1.0)
+        lately = {"/race/pace": self.pace, "/race/clean": succeeded, "/race/passed": passes}
+        return {**log, **lately}
 
     def state(self) -> dict[str, float]:
         """Return what a resumed run goes on from."""
@@ -127,7 +127,15 @@ class _OnCurriculum(Learner):
 
     def _learn(self, share: float) -> UpdateRow:
         self.curriculum.prepare(self.env.race_env, share)
-        return self.curriculum.add(super()._learn(share), share)
+        return super()._learn(share)
+
+    def _adapted(self, log: dict[str, float], share: float) -> dict[str, float]:
+        return self.curriculum.add(log, share)
+
+    def restart_rows(self) -> None:
+        """Restart all episodes, among rivals as fast as a resumed run meets them."""
+        self.curriculum.prepare(self.env.race_env, self.curriculum.share)
+        super().restart_rows()
 
     def _state(self) -> dict[str, Any]:
         return super()._state() | {"curriculum": self.curriculum.state()}

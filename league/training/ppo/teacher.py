@@ -87,6 +87,11 @@ class TaughtLearner(Learner):
         return self.updates > self.teacher.updates
 
     @property
+    def at_save_point(self) -> bool:
+        """Whether a run resumed from here ends in the same weights; see Learner."""
+        return super().at_save_point if self.has_learnt else self.teacher.at_save_point
+
+    @property
     def shown(self) -> tuple[RacingVecEnv, ...]:
         """The worlds of both."""
         return (self.env, self.teacher.env)
@@ -102,7 +107,7 @@ class TaughtLearner(Learner):
             return replace(update, log=update.log | {TEACHING: 1.0})
         if not self.has_learnt:
             self.teacher.load_weights(self.teacher.weights())  # their average teaches
-            super().restart_rows()  # as after a resume from here
+            self.restart_rows()  # as after a resume from here
         done = max(share - until, 0.0) / (1.0 - until)
         self._lesson.weight = max(0.0, 1.0 - done)
         update = self._learn(done)
